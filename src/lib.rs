@@ -1,0 +1,24 @@
+//! embree-trace: what a renderer really asks of a ray tracer, and better trees from it.
+//!
+//! # Map, in the order in which data flows
+//!
+//! | layer | modules | job |
+//! |---|---|---|
+//! | shapes | [`geometry`], [`tree`] | boxes, rays, triangles; nodes as they stand in a file |
+//! | scenes | [`mesh`] | triangles from OBJ, PLY and generators |
+//! | formats | [`format`] | `.rays` and `.bvh`, each read and written in one place |
+//!
+//! # Invariants
+//!
+//! 1. `format` knows neither builders nor Embree.
+//! 2. Builders and optimisers see boxes, and rays only through a probability.
+//! 3. Same input, same seed: same bytes out, whatever the number of threads.
+//! 4. No input file makes a tool panic, read out of bounds, loop or allocate without limit.
+
+pub mod cli;
+pub mod files;
+pub mod format;
+pub mod geometry;
+pub mod mesh;
+pub mod progress;
+pub mod tree;
