@@ -19,7 +19,7 @@ const WALL: f64 = 0.28;
 const FLOORS: [(f64, f64); 2] = [(0.0, 4.4), (4.4, 3.6)];
 const EAVES: f64 = 8.0;
 
-/// The courtyard. `detail` 1 has 6 thousand triangles, 13 has a million, 41 ten million. The court's middle is the origin, y is
+/// The courtyard. `detail` 1 has 5 thousand triangles, 18 a million, 56 ten million. The court's middle is the origin, y is
 /// up, one unit is a metre; a camera at (4.6, 1.7, 5.2) looking at (-3, 2.6, -6) stands inside under the open sky.
 pub fn courtyard(detail: u32, seed: u64) -> Mesh {
     let detail = detail.max(1);
@@ -226,14 +226,14 @@ fn fountain(b: &mut Builder, detail: u32) {
         (0.70, 1.55),
         (0.0, 1.38),
     ];
-    let segments = 8 + 8 * detail;
+    let segments = 6 + 6 * detail;
     b.revolve([0.0; 3], segments, 6 * detail, |f| along(&basin, f));
     b.revolve([0.0; 3], segments, 7 * detail, |f| along(&stem, f));
 }
 
 /// The water in the basin, with rings around the stem.
 fn pool(b: &mut Builder, detail: u32) {
-    b.revolve([0.0; 3], 8 + 8 * detail, 2 * detail, |f| {
+    b.revolve([0.0; 3], 6 + 6 * detail, 2 * detail, |f| {
         let radius = 1.53 - 1.33 * f;
         (radius, 0.46 + 0.006 * circle(6.0 * radius).1)
     });
