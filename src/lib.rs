@@ -16,9 +16,11 @@
 //! 4. No input file makes a tool panic, read out of bounds, loop or allocate without limit.
 
 pub mod cli;
+pub mod diff;
 pub mod files;
 pub mod format;
 pub mod geometry;
+pub mod inspect;
 pub mod mesh;
 pub mod progress;
 pub mod tree;
