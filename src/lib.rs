@@ -17,6 +17,8 @@
 
 pub mod cli;
 pub mod diff;
+#[cfg(feature = "embree")]
+pub mod embree;
 pub mod files;
 pub mod format;
 pub mod geometry;
