@@ -135,15 +135,16 @@ fn write_all<W: Write>(
                 info
             })
             .collect();
-        let encode =
-            |(chunk, info): (_, &ChunkInfo)| -> io::Result<_> {
-                let Records { records, rejects } = chunk;
-                encode_chunk(info, records, rejects, codec)
-            };
         match &chunks[..] {
-            [chunk] => writer.write_encoded(&encode((chunk, &infos[0]))?)?,
+            [chunk] => {
+                writer.write_encoded(&encode_chunk(&infos[0], &chunk.records, &chunk.rejects, codec)?)?;
+            }
             several => {
-                let encoded: Vec<_> = several.par_iter().zip(&infos).map(encode).collect();
+                let encoded: Vec<_> = several
+                    .par_iter()
+                    .zip(&infos)
+                    .map(|(chunk, info)| encode_chunk(info, &chunk.records, &chunk.rejects, codec))
+                    .collect();
                 for chunk in encoded {
                     writer.write_encoded(&chunk?)?;
                 }

@@ -118,7 +118,7 @@ impl Queue {
         let mut chunks = Vec::new();
         let mut state = self.lock();
         loop {
-            let turn = state.turn;
+            let (turn, closed) = (state.turn, state.closed);
             match state.units.get_mut(&turn) {
                 Some(unit) if chunks.len() < most && !unit.chunks.is_empty() => {
                     chunks.extend(unit.chunks.pop_front());
@@ -131,7 +131,7 @@ impl Queue {
                     self.taken.notify_all();
                 }
                 // Closed: every unit has ended, so the next one was never opened.
-                None if chunks.is_empty() && state.closed => return chunks,
+                None if chunks.is_empty() && closed => return chunks,
                 _ if !chunks.is_empty() => return chunks,
                 _ => state = self.arrived.wait(state).unwrap_or_else(PoisonError::into_inner),
             }

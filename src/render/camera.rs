@@ -153,7 +153,16 @@ mod tests {
         let (x, y) = (Vec3::new(1.0, -2.5, 3e2), Vec3::new(0.0, 0.0, 1.0));
         assert_eq!(parse_view("1,-2.5,3e2/0,0,1"), Ok((x, y, None)));
         assert_eq!(parse_view("1, -2.5, 300 / 0,0,1 / 0,0,1"), Ok((x, y, Some(y))));
-        for bad in ["", "1,2,3", "1,2/3,4,5", "1,2,3,4/5,6,7", "nan,0,0/1,1,1", "0,0,0/inf,1,1", "1,2,3/4,5,6/7,8,9/1,2,3", "a,b,c/d,e,f"] {
+        for bad in [
+            "",
+            "1,2,3",
+            "1,2/3,4,5",
+            "1,2,3,4/5,6,7",
+            "nan,0,0/1,1,1",
+            "0,0,0/inf,1,1",
+            "1,2,3/4,5,6/7,8,9/1,2,3",
+            "a,b,c/d,e,f",
+        ] {
             assert_eq!(parse_view(bad), Err(CameraError::Syntax(bad.to_owned())));
         }
     }

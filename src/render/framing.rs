@@ -5,8 +5,8 @@
 //! shows much. Otherwise it stands outside, far enough to see all, on the side that shows most (a box with an open side is
 //! looked into).
 
-use crate::geometry::{Aabb, Ray, Triangle, Vec3};
 use crate::format::rays::{NO_PATH, Purpose};
+use crate::geometry::{Aabb, Ray, Triangle, Vec3};
 use crate::render::camera::{Camera, View};
 use crate::render::lights::{Panel, Sky};
 use crate::render::queries::{RayQueries, query};
@@ -135,7 +135,8 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
 
     /// A view that shows the scene: from inside when it is an interior.
     pub fn view(&mut self, fov_degrees: Option<f32>, aspect: f32) -> View {
-        let inside = if self.openness() < INTERIOR_OPENNESS { self.inside(fov_degrees, aspect) } else { None };
+        let inside =
+            if self.openness() < INTERIOR_OPENNESS { self.inside(fov_degrees, aspect) } else { None };
         inside.unwrap_or_else(|| self.outside(fov_degrees, aspect))
     }
 
@@ -219,7 +220,8 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
             let towards = self.axes.direction(azimuth.to_radians(), elevation.to_radians());
             let view = self.fit(towards, fov_degrees, aspect);
             if let Some(glimpse) = self.glimpse(&view, aspect) {
-                let score = preference * (1.0 + glimpse.distinct as f32).ln() * (0.5 + glimpse.covered).min(1.0);
+                let score =
+                    preference * (1.0 + glimpse.distinct as f32).ln() * (0.5 + glimpse.covered).min(1.0);
                 if best.is_none_or(|(other, _)| score > other) {
                     best = Some((score, view));
                 }
@@ -267,8 +269,8 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
             let target = eye + self.axes.direction(azimuth, -0.06) * (0.1 * self.size);
             let view = View { eye, target, up: self.axes.up, fov_degrees };
             let Some(glimpse) = self.glimpse(&view, aspect) else { continue };
-            let score =
-                (1.0 + glimpse.distinct as f32).ln() - 4.0 * glimpse.obstructed - 1.5 * glimpse.backs + glimpse.covered;
+            let score = (1.0 + glimpse.distinct as f32).ln() - 4.0 * glimpse.obstructed - 1.5 * glimpse.backs
+                + glimpse.covered;
             if best.is_none_or(|(other, _)| score > other) {
                 best = Some((score, view));
             }

@@ -259,7 +259,8 @@ mod tests {
         }
         let irradiance = sum / f64::from(2 * steps * steps);
         let x: f64 = 0.5;
-        let corner = 2.0 * x / (1.0 + x * x).sqrt() * (x / (1.0 + x * x).sqrt()).atan() / std::f64::consts::TAU;
+        let corner =
+            2.0 * x / (1.0 + x * x).sqrt() * (x / (1.0 + x * x).sqrt()).atan() / std::f64::consts::TAU;
         let expected = std::f64::consts::PI * 4.0 * corner;
         assert!((irradiance / expected - 1.0).abs() < 2e-3, "{irradiance} {expected}");
     }
@@ -284,7 +285,9 @@ mod tests {
     #[test]
     fn sky_is_continuous_and_bright_above() {
         let sky = Sky { up: Vec3::Z, sun: Vec3::Z };
-        let at = |degrees: f32| sky.radiance(Vec3::new(degrees.to_radians().cos(), 0.0, degrees.to_radians().sin()));
+        let at = |degrees: f32| {
+            sky.radiance(Vec3::new(degrees.to_radians().cos(), 0.0, degrees.to_radians().sin()))
+        };
         assert!((at(0.01) - at(-0.01)).length() < 0.01);
         assert_eq!(at(90.0), ZENITH);
         assert!((at(-60.0) - GROUND).length() < 0.01);

@@ -69,7 +69,8 @@ pub fn trace<Q: RayQueries>(
                 *occluded = queries.occluded(query);
             }
         }
-        for (&(index, light), _) in brings[..asked].iter().zip(&occluded).filter(|(_, occluded)| !**occluded) {
+        for (&(index, light), _) in brings[..asked].iter().zip(&occluded).filter(|(_, occluded)| !**occluded)
+        {
             radiance[index] += light;
         }
         for (index, walk) in walks.iter_mut().enumerate().filter(|(_, walk)| walk.alive) {
@@ -181,8 +182,7 @@ fn light_ray(
     if cosine <= 0.0 {
         return None;
     }
-    let by_bounce =
-        if light.can_be_hit { (1.0 - appearance.specular_share) * cosine / PI } else { 0.0 };
+    let by_bounce = if light.can_be_hit { (1.0 - appearance.specular_share) * cosine / PI } else { 0.0 };
     let reflected = appearance.diffuse / PI * cosine;
     let brings = walk.throughput * reflected * light.radiance / (light.density + by_bounce);
     let ray = Ray {

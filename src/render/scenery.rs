@@ -29,6 +29,21 @@ pub struct Wishes {
     pub fov_degrees: Option<f32>,
 }
 
+impl Wishes {
+    /// Says early, before a large scene is read, that no camera can come of this.
+    ///
+    /// # Errors
+    /// As [`Camera::new`], for what was given.
+    pub fn check(&self) -> Result<(), CameraError> {
+        let fov_degrees = self.fov_degrees.unwrap_or(DEFAULT_FOV);
+        let (eye, target) = self.eye_and_target.unwrap_or((Vec3::ZERO, Vec3::ONE));
+        let sight = target - eye;
+        // Without an up of its own, one that is surely not along the line of sight: the real one is not known yet.
+        let up = self.up.unwrap_or_else(|| sight.any_orthogonal_vector());
+        Camera::new(&View { eye, target, up, fov_degrees }, 1, 1).map(|_| ())
+    }
+}
+
 /// Height of the image in degrees for a camera whose place was given.
 const DEFAULT_FOV: f32 = 60.0;
 /// Ambient occlusion looks this share of the scene's diagonal far.

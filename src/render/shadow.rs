@@ -31,8 +31,7 @@ pub fn trace<Q: RayQueries>(
         let reflectance = appearance.diffuse + appearance.specular;
         let surface = Surface::new(&ray, hit);
         if let Some((direction, distance, irradiance)) = incoming(scenery, sample, &surface) {
-            let ray =
-                Ray { origin: surface.origin, tnear: 0.0, direction, tfar: distance * BEFORE_LIGHT };
+            let ray = Ray { origin: surface.origin, tnear: 0.0, direction, tfar: distance * BEFORE_LIGHT };
             asked.push(query(ray, sample.path, 1, Purpose::Shadow));
             brings.push((index, reflectance / PI * irradiance));
         }

@@ -200,7 +200,8 @@ impl fmt::Display for Summary {
             "seconds  read {read:.3}, build {build:.3}, tree {tree:.3}, camera {frame:.3}, render {render:.3}"
         )?;
         if let Some(tree) = &self.tree {
-            let TreeLine { path, bytes, producer, nodes, leaves, depth, max_children, max_leaf, sah_cost } = tree;
+            let TreeLine { path, bytes, producer, nodes, leaves, depth, max_children, max_leaf, sah_cost } =
+                tree;
             writeln!(f, "tree     {path}: {bytes} bytes, {producer}")?;
             writeln!(
                 f,

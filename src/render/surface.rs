@@ -21,7 +21,8 @@ pub struct Appearance {
 
 impl Appearance {
     pub fn of(material: &Material) -> Appearance {
-        let clean = |v: Vec3| Vec3::from_array(v.to_array().map(|c| if c.is_finite() { c.max(0.0) } else { 0.0 }));
+        let clean =
+            |v: Vec3| Vec3::from_array(v.to_array().map(|c| if c.is_finite() { c.max(0.0) } else { 0.0 }));
         let (diffuse, specular) = (clean(material.diffuse), clean(material.specular));
         let scale = 1.0 / (diffuse + specular).max_element().max(1.0);
         let (diffuse, specular) = (diffuse * scale, specular * scale);
@@ -94,8 +95,7 @@ mod tests {
             direction: Vec3::new(0.6, 0.0, -0.8),
             tfar: f32::INFINITY,
         };
-        let hit =
-            Hit { t: 125.0, triangle: 0, part: 0, u: 0.0, v: 0.0, normal: Vec3::new(0.0, 0.0, -7.0) };
+        let hit = Hit { t: 125.0, triangle: 0, part: 0, u: 0.0, v: 0.0, normal: Vec3::new(0.0, 0.0, -7.0) };
         (ray, Surface::new(&ray, &hit))
     }
 
