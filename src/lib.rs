@@ -16,6 +16,8 @@
 //! 4. No input file makes a tool panic, read out of bounds, loop or allocate without limit.
 
 pub mod cli;
+#[cfg(feature = "embree")]
+pub mod embree;
 pub mod files;
 pub mod format;
 pub mod geometry;
