@@ -27,7 +27,8 @@ class Intersector {
   virtual Outcome closest_hit(const Query& query, Hit& hit) noexcept = 0;
   // Whether anything lies within [tnear, tfar].
   virtual Outcome occluded(const Query& query) noexcept = 0;
-  // The same for a packet; the answers are those of the single queries, bit for bit.
+  // The same for a packet. On triangles the answers are those of the single queries bit for bit; on quads Embree's packet
+  // kernels differ from its single ones in the last bits of u and v.
   virtual void closest_hits(const Query* queries, Width width, Hit* hits, Outcome* outcomes) noexcept = 0;
   virtual void occluded_packet(const Query* queries, Width width, Outcome* outcomes) noexcept = 0;
 

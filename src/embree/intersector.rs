@@ -144,7 +144,8 @@ impl<'a> Intersector<'a> {
         outcome == ffi::SHIM_HIT
     }
 
-    /// [`Self::closest_hit`] of each query, in packets of 16, 8 and 4 as far as they go, with the same answers.
+    /// [`Self::closest_hit`] of each query, in packets of 16, 8 and 4 as far as they go. On triangles the answers are the
+    /// same bit for bit; on quads Embree's packets differ in the last bits, mostly of u and v.
     ///
     /// # Panics
     /// When the slices differ in length.
