@@ -23,4 +23,8 @@ pub mod format;
 pub mod geometry;
 pub mod mesh;
 pub mod progress;
+#[cfg(feature = "embree")]
+pub mod record;
+#[cfg(feature = "embree")]
+pub mod render;
 pub mod tree;

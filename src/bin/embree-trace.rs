@@ -13,9 +13,7 @@ use embree_trace::record::{RecordError, Recorder};
 use embree_trace::render::camera::parse_view;
 use embree_trace::render::film::ImageKind;
 use embree_trace::render::scenery::{Scenery, Wishes};
-use embree_trace::render::summary::{
-    RaysLine, Summary, TreeLine, camera_option, lights_name, query_lines,
-};
+use embree_trace::render::summary::{RaysLine, Summary, TreeLine, camera_option, lights_name, query_lines};
 use embree_trace::render::tiles::Tiles;
 use embree_trace::render::workers::{Rendered, render};
 use embree_trace::render::{Integrator, Job};
@@ -139,8 +137,7 @@ fn quality(name: &str) -> Result<Quality, String> {
 
 fn main() -> ExitCode {
     // The paper's spelling of the option has one dash.
-    let arguments =
-        std::env::args_os().map(|a| if a == "-savetrace" { "--savetrace".into() } else { a });
+    let arguments = std::env::args_os().map(|a| if a == "-savetrace" { "--savetrace".into() } else { a });
     let arguments = Arguments::parse_from(arguments);
     cli::run("embree-trace", || run(&arguments))
 }
@@ -224,7 +221,8 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     summary.seconds.read = lap();
 
     // A path that cannot be written is known before the work, and the work's result never lost for it.
-    let image = image.map(|(path, kind)| Ok::<_, FileError>((path, kind, OutputFile::create(path)?))).transpose()?;
+    let image =
+        image.map(|(path, kind)| Ok::<_, FileError>((path, kind, OutputFile::create(path)?))).transpose()?;
     let scene = Scene::new(&mesh, &settings)?;
     let (triangles, _) = scene.triangles();
     summary.seconds.build = lap();
