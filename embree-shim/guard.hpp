@@ -3,12 +3,14 @@
 
 #include <cstdio>
 #include <new>
+#include <utility>
 
+#include "memory.hpp"
 #include "scene.hpp"
 
 namespace shim {
 
-inline void report(ShimError* error, RTCError code, const char* message) noexcept {
+inline void report(ShimError* error, int code, const char* message) noexcept {
   error->code = code;
   std::snprintf(error->message, sizeof error->message, "%s", message);
 }
@@ -20,6 +22,8 @@ auto guarded(ShimError* error, decltype(std::declval<Work>()()) failure, Work&& 
     return work();
   } catch (const Error& caught) {
     report(error, caught.code(), caught.what());
+  } catch (const Doubt& doubt) {
+    report(error, SHIM_DOUBT, doubt.what());
   } catch (const std::bad_alloc&) {
     report(error, RTC_ERROR_OUT_OF_MEMORY, "out of memory");
   } catch (const std::exception& caught) {

@@ -145,16 +145,13 @@ bool Scene::keeps(const Part& part, std::uint64_t face) const noexcept {
 }
 
 std::uint64_t Scene::triangles(float* triangles) const noexcept {
-  // Corners of the one triangle of a triangle, and of the two of a quad (shared with mesh::Mesh::triangles).
-  static constexpr std::uint32_t corners[2][3] = {{0, 1, 2}, {0, 1, 3}};
-  static constexpr std::uint32_t second[3] = {2, 3, 1};
   std::uint64_t replaced = 0;
   float* out = triangles;
   for (const Part& part : parts_) {
     for (std::uint64_t face = 0; face < part.faces; face++) {
       const bool kept = keeps(part, face);
       for (std::uint32_t half = 0; half < part.triangles_per_face(); half++, out += 9) {
-        const std::uint32_t* chosen = half == 1 ? second : corners[part.corners - 3];
+        const auto chosen = part.corners_of(half);
         bool finite = true;
         for (int corner = 0; corner < 3; corner++) {
           const float* position = vertex(part.indices[face * part.corners + chosen[corner]]);

@@ -3,6 +3,7 @@
 
 #include <embree3/rtcore.h>
 
+#include <array>
 #include <cstdint>
 #include <stdexcept>
 #include <string>
@@ -50,6 +51,11 @@ struct Part {
   std::uint32_t first_triangle = 0;
 
   std::uint32_t triangles_per_face() const noexcept { return corners - 2; }
+  // Which corners make the face's only, first or second triangle: (v0, v1, v2), or (v0, v1, v3) and (v2, v3, v1).
+  std::array<std::uint32_t, 3> corners_of(std::uint32_t half) const noexcept {
+    if (corners == 3) return {0, 1, 2};
+    return half == 0 ? std::array<std::uint32_t, 3>{0, 1, 3} : std::array<std::uint32_t, 3>{2, 3, 1};
+  }
 };
 
 // A committed scene. Part i is attached as geomID i; parts without faces are numbered but not attached.

@@ -1,6 +1,5 @@
 // The C ABI of shim.h: handles to objects, exceptions to errors; no work of its own.
-#include <cmath>
-#include <limits>
+#include <cstdio>
 #include <memory>
 #include <utility>
 
@@ -9,6 +8,7 @@
 #include "recording_intersector.hpp"
 #include "scene.hpp"
 #include "shim.h"
+#include "tree.hpp"
 
 struct ShimScene {
   shim::Scene scene;
@@ -17,6 +17,29 @@ struct ShimScene {
 struct ShimIntersector {
   std::unique_ptr<shim::Intersector> intersector;
 };
+
+namespace {
+
+// The tree behind a ShimTree, which must stay its first part.
+struct OwnedTree {
+  ShimTree view{};
+  shim::Tree tree;
+};
+
+ShimTree* hand_over(shim::Tree tree) {
+  auto owned = std::make_unique<OwnedTree>();
+  owned->tree = std::move(tree);
+  ShimTree& view = owned->view;
+  view.nodes = owned->tree.nodes.data();
+  view.node_count = owned->tree.nodes.size();
+  view.primitives = owned->tree.primitives.data();
+  view.primitive_count = owned->tree.primitives.size();
+  view.splits = owned->tree.splits ? 1 : 0;
+  std::snprintf(view.producer, sizeof view.producer, "%s", owned->tree.producer.c_str());
+  return &owned.release()->view;
+}
+
+}  // namespace
 
 uint32_t shim_version(void) {
   RTCDevice device = rtcNewDevice("threads=1");
@@ -49,6 +72,18 @@ void shim_scene_bounds(const ShimScene* scene, float bounds[6]) {
 uint64_t shim_scene_triangle_count(const ShimScene* scene) { return scene->scene.triangle_count(); }
 
 uint64_t shim_scene_triangles(const ShimScene* scene, float* triangles) { return scene->scene.triangles(triangles); }
+
+ShimTree* shim_tree_live(const ShimScene* scene, const ShimFault* fault, ShimError* error) {
+  return shim::guarded(error, static_cast<ShimTree*>(nullptr),
+                       [&] { return hand_over(shim::read_live_tree(scene->scene, fault)); });
+}
+
+ShimTree* shim_tree_built(const ShimScene* scene, ShimError* error) {
+  return shim::guarded(error, static_cast<ShimTree*>(nullptr),
+                       [&] { return hand_over(shim::build_tree(scene->scene)); });
+}
+
+void shim_tree_free(ShimTree* tree) { delete reinterpret_cast<OwnedTree*>(tree); }
 
 ShimIntersector* shim_intersector_new(const ShimScene* scene, ShimError* error) {
   return shim::guarded(error, static_cast<ShimIntersector*>(nullptr),

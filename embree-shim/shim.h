@@ -36,7 +36,6 @@ typedef struct ShimPart {
 
 typedef struct ShimScene ShimScene;
 typedef struct ShimIntersector ShimIntersector;
-typedef struct ShimTree ShimTree;
 
 /* A query: Rust's `embree::Query`, field by field. */
 typedef struct ShimQuery {
@@ -92,6 +91,45 @@ typedef struct ShimNode {
   uint32_t count;
 } ShimNode;
 
+/* A tree with everything it needs; made and freed by the shim. */
+typedef struct ShimTree {
+  const ShimNode* nodes;
+  uint64_t node_count;
+  const uint32_t* primitives;
+  uint64_t primitive_count;
+  uint32_t splits;   /* whether a triangle may stand in several leaves */
+  char producer[60]; /* zero terminated */
+} ShimTree;
+
+/* The objects of Embree's that the live tree is read from. */
+enum {
+  SHIM_OBJECT_SCENE = 0,
+  SHIM_OBJECT_ACCEL_LIST = 1,
+  SHIM_OBJECT_ACCEL = 2,
+  SHIM_OBJECT_BVH = 3,
+  SHIM_OBJECT_VTABLE = 4,
+  SHIM_OBJECT_CODE = 5,
+  SHIM_OBJECT_TEXT = 6,
+  SHIM_OBJECT_NODE = 7,
+  SHIM_OBJECT_LEAF = 8
+};
+
+/* For tests of the checks: another version (0 = the true one), no libembree3, or wrong bytes in the nth read of a kind of
+ * object: byte = (byte & keep) ^ flip, `length` of them from `offset`. Memory itself is never written. */
+typedef struct ShimFault {
+  uint32_t version;
+  uint32_t no_image;
+  uint32_t object;
+  uint32_t offset;
+  uint64_t nth;
+  uint32_t length;
+  uint8_t keep[16];
+  uint8_t flip[16];
+} ShimFault;
+
+/* Code of a ShimError: a check of the live tree did not hold; the message says which. */
+enum { SHIM_DOUBT = 1000 };
+
 /* Takes a batch of the calling thread's records; non-zero stops the recording (the disk is full, say). */
 typedef uint32_t (*ShimBatch)(void* user, const ShimRecord* records, uint64_t count);
 
@@ -117,6 +155,12 @@ uint64_t shim_scene_triangle_count(const ShimScene* scene);
  * and more; for a quad: in any of its four vertices) gets NaN in all nine when it would be finite otherwise.
  * Returns how many finite triangles were replaced so. */
 uint64_t shim_scene_triangles(const ShimScene* scene, float* triangles);
+
+/* Embree's own tree, read from its memory; `fault` is null but in tests. Null, with SHIM_DOUBT, when a check fails. */
+ShimTree* shim_tree_live(const ShimScene* scene, const ShimFault* fault, ShimError* error);
+/* The binary tree of rtcBuildBVH. */
+ShimTree* shim_tree_built(const ShimScene* scene, ShimError* error);
+void shim_tree_free(ShimTree* tree);
 
 /* An intersector asks `scene`, which must outlive it; it is for one thread at a time. Null on failure. */
 ShimIntersector* shim_intersector_new(const ShimScene* scene, ShimError* error);

@@ -9,10 +9,15 @@
 mod ffi;
 mod intersector;
 mod settings;
+#[doc(hidden)]
+pub mod testing;
+mod tree;
 
 pub use intersector::{BATCH_RECORDS, BatchSink, Hit, Intersector, Query, Stop};
 pub use settings::{Isa, Quality, Settings, TRI_ACCELS};
+pub use tree::{BuiltTree, TreeSource};
 
+use crate::format::bvh::Geometry;
 use crate::geometry::{Aabb, Triangle, Vec3};
 use crate::mesh::Mesh;
 use std::ptr::NonNull;
@@ -37,15 +42,18 @@ pub enum EmbreeError {
 
 impl EmbreeError {
     fn from_shim(error: &ffi::ShimError) -> EmbreeError {
-        let bytes: Vec<u8> = error.message.iter().take_while(|&&c| c != 0).map(|&c| c as u8).collect();
-        EmbreeError::Device { code: error.code, message: String::from_utf8_lossy(&bytes).into_owned() }
+        EmbreeError::Device { code: error.code, message: ffi::text(&error.message) }
     }
 }
 
 /// A committed scene. Part `i` of the mesh is Embree's geomID `i`; triangles are numbered as [`Mesh::triangles`] does.
 pub struct Scene {
     handle: NonNull<ffi::ShimScene>,
+    geometries: Vec<Geometry>,
 }
+
+/// Mask of every geometry: each query sees it, unless its own mask is 0.
+const ALL_MASKS: u32 = u32::MAX;
 
 // SAFETY: after its commit the C++ scene is only read, and Embree allows queries and reads from any thread.
 unsafe impl Send for Scene {}
@@ -65,7 +73,7 @@ impl Scene {
                 indices: part.indices.as_ptr(),
                 faces: (part.indices.len() / part.faces.corners()) as u64,
                 corners: part.faces.corners() as u32,
-                mask: u32::MAX,
+                mask: ALL_MASKS,
             })
             .collect();
         let shim_settings = ffi::ShimSettings {
@@ -86,7 +94,8 @@ impl Scene {
                 &mut error,
             )
         };
-        NonNull::new(handle).map(|handle| Scene { handle }).ok_or_else(|| match settings.isa {
+        let geometries = tree::geometries(mesh, ALL_MASKS);
+        NonNull::new(handle).map(|handle| Scene { handle, geometries }).ok_or_else(|| match settings.isa {
             Some(isa) if error.code == ffi::UNSUPPORTED_CPU => EmbreeError::UnsupportedIsa(isa),
             _ => EmbreeError::from_shim(&error),
         })

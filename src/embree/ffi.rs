@@ -17,6 +17,12 @@ pub fn no_error() -> ShimError {
     ShimError { code: 0, message: [0; 508] }
 }
 
+/// A zero-terminated text of the shim's.
+pub fn text(letters: &[std::ffi::c_char]) -> String {
+    let bytes: Vec<u8> = letters.iter().map(|&letter| letter as u8).take_while(|&byte| byte != 0).collect();
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
 /// Same size, alignment and offsets: a pointer to one struct may be used as a pointer to the other.
 macro_rules! assert_same_layout {
     ($ours:ty, $theirs:ty, $(($our_field:ident $(. $nested:ident)?, $their_field:ident)),+) => {
