@@ -27,6 +27,12 @@ const SURFACE_SAMPLES: u32 = 512;
 const INTERIOR_OPENNESS: f32 = 0.2;
 /// From a point inside, this share of all directions meets something. An atrium without a roof has about 0.8.
 const ENCLOSED: f32 = 0.65;
+/// Nearer than this share of the diagonal, things are in the way of a view.
+const CLOSE: f32 = 0.1;
+/// A view from inside is at least this share of the diagonal long. In a tangle there is none.
+const MIN_LENGTH: f32 = 0.15;
+/// From a point this enclosed, the sun can only shine through windows.
+const INDOORS: f32 = 0.9;
 /// Places that a camera inside may stand, and how many of the best are looked from.
 const PLACES: u32 = 512;
 const FINALISTS: usize = 40;
@@ -57,24 +63,34 @@ impl Axes {
     }
 }
 
-/// Which axis points up: y, as in most files, unless floors and ceilings speak clearly for z.
-///
-/// Buildings and machines have much area that faces up or down, and are no higher than they are wide.
+/// Which axis points up: y, as in most files, unless two signs speak clearly for z. More area faces along it than along y (floors,
+/// roofs, tables); and its two ends differ more (a floor at the bottom, less at the top; the ends of y are alike).
 pub fn guess_up(triangles: &[Triangle], bounds: &Aabb) -> Axes {
+    let extent = bounds.extent();
     let mut facing = [0.0f64; 3];
-    let mut total = 0.0;
+    let mut bottom_less_top = [0.0f64; 3];
     for triangle in triangles.iter().filter(|t| t.is_finite()) {
         let normal = triangle.scaled_normal();
         let area = f64::from(normal.length());
-        total += area;
         let axis = normal.abs().max_position();
-        if f64::from(normal[axis].abs()) > 0.98 * area {
-            facing[axis] += area;
+        if f64::from(normal[axis].abs()) <= 0.98 * area {
+            continue;
+        }
+        facing[axis] += area;
+        let height = (triangle.centroid()[axis] - bounds.lower[axis]) / extent[axis];
+        if height < 0.05 {
+            bottom_less_top[axis] += area;
+        } else if height > 0.95 {
+            bottom_less_top[axis] -= area;
         }
     }
-    let extent = bounds.extent();
-    let floors_face_z = facing[2] > 1.25 * facing[1] && facing[2] > 0.15 * total;
-    Axes::with_up(if floors_face_z && extent.z <= extent.y { Vec3::Z } else { Vec3::Y })
+    // The ends are compared as shares of the cross section that they could fill.
+    let end = |axis: usize| {
+        let section = extent[(axis + 1) % 3] * extent[(axis + 2) % 3];
+        if section > 0.0 { bottom_less_top[axis].abs() / f64::from(section) } else { 0.0 }
+    };
+    let [_, y, z] = facing;
+    Axes::with_up(if z > 1.25 * y && end(2) > 2.0 * end(1) + 0.05 { Vec3::Z } else { Vec3::Y })
 }
 
 /// The box of nearly everything: a few stray points far away (files have them) are left out.
@@ -118,6 +134,9 @@ pub struct Framing<'a, Q> {
 /// What can be seen from a view, roughly.
 struct Glimpse {
     distinct: usize,
+    /// Neighbouring rays, as a share of all, between which the surface breaks off: outlines and corners, however finely
+    /// they are tessellated.
+    edges: f32,
     /// Share of rays that hit.
     covered: f32,
     /// Share of rays that hit something close by.
@@ -180,21 +199,31 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
         let camera = Camera::new(&View { ..*view }, (aspect * 1024.0) as u32 + 1, 1024).ok()?;
         let scale = [(aspect * 1024.0 + 1.0) / width as f32, 1024.0 / height as f32];
         let mut seen = HashSet::new();
-        let (mut hits, mut close, mut backs) = (0, 0, 0);
+        let (mut hits, mut close, mut backs, mut edges) = (0, 0, 0, 0);
+        // Distances in the row above, up to the current column in this one.
+        let mut distances = vec![f32::INFINITY; width as usize];
         for y in 0..height {
+            let mut left = f32::INFINITY;
             for x in 0..width {
                 let ray = camera.ray((x as f32 + 0.5) * scale[0], (y as f32 + 0.5) * scale[1]);
+                let mut distance = f32::INFINITY;
                 if let Some(hit) = self.queries.closest_hit(&query(ray, NO_PATH, 0, Purpose::Unknown)) {
                     hits += 1;
                     seen.insert(hit.triangle);
-                    close += u32::from(hit.t < 0.04 * self.size);
+                    distance = hit.t;
+                    close += u32::from(hit.t < CLOSE * self.size);
                     backs += u32::from(hit.normal.dot(ray.direction) > 0.0);
                 }
+                let above = std::mem::replace(&mut distances[x as usize], distance);
+                let breaks = |other: f32| other.min(distance) < 0.8 * other.max(distance);
+                edges += u32::from(x > 0 && breaks(left)) + u32::from(y > 0 && breaks(above));
+                left = distance;
             }
         }
         let rays = (width * height) as f32;
         Some(Glimpse {
             distinct: seen.len(),
+            edges: edges as f32 / rays,
             covered: hits as f32 / rays,
             obstructed: close as f32 / rays,
             backs: backs as f32 / (hits as f32).max(1.0),
@@ -265,12 +294,16 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
         places.sort_by(|a, b| b.0.total_cmp(&a.0));
         places.truncate(FINALISTS);
         let mut best: Option<(f32, View)> = None;
-        for (_, eye, azimuth) in places {
+        for (length, eye, azimuth) in places {
             let target = eye + self.axes.direction(azimuth, -0.06) * (0.1 * self.size);
             let view = View { eye, target, up: self.axes.up, fov_degrees };
             let Some(glimpse) = self.glimpse(&view, aspect) else { continue };
-            let score = (1.0 + glimpse.distinct as f32).ln() - 4.0 * glimpse.obstructed - 1.5 * glimpse.backs
-                + glimpse.covered;
+            // Much to see, and nothing in front of it.
+            let score = 1.5 * glimpse.edges.min(0.5) + 0.1 * (1.0 + glimpse.distinct as f32).ln()
+                - 3.0 * glimpse.obstructed
+                - glimpse.backs
+                + 0.5 * glimpse.covered
+                + (length / self.size).min(0.6);
             if best.is_none_or(|(other, _)| score > other) {
                 best = Some((score, view));
             }
@@ -292,7 +325,8 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
         let above = self.distance(point, up).unwrap_or_else(|| (top - point).dot(up).abs());
         let extent = self.bounds.extent();
         let wide = (extent - extent * up.abs()).max_element();
-        let eye = floor + up * (0.5 * (below + above)).min(0.15 * wide);
+        let clearance = below + above;
+        let eye = floor + up * (0.45 * clearance).min(0.15 * wide);
 
         let horizon: Vec<f32> = (0..DIRECTIONS)
             .map(|i| {
@@ -301,7 +335,7 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
             })
             .collect();
         let nearest = horizon.iter().copied().fold(f32::INFINITY, f32::min);
-        if nearest < 0.015 * self.size || below + above < 0.03 * self.size || self.enclosure(eye) < ENCLOSED {
+        if nearest < 0.015 * self.size || clearance < 0.03 * self.size || self.enclosure(eye) < ENCLOSED {
             return None;
         }
         // A long view is one that is long to both sides of its middle, too.
@@ -312,13 +346,18 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
                 (i, (window.sum::<f32>() / 7.0).exp())
             })
             .max_by(|a, b| a.1.total_cmp(&b.1))?;
+        if length < MIN_LENGTH * self.size {
+            return None;
+        }
+        // Away from walls, and on the floor of the room rather than on a table or under it.
         let freedom = (nearest / (0.05 * self.size)).min(1.0);
-        Some((length * freedom, eye, TAU * direction as f32 / count as f32))
+        let height = (clearance / (extent * up).element_sum().abs()).min(1.0).sqrt();
+        Some((length * freedom * height, eye, TAU * direction as f32 / count as f32))
     }
 
     /// The panel for a camera that stands in a room, or `None` under the open sky.
     pub fn panel(&mut self, eye: Vec3) -> Option<Panel> {
-        if self.enclosure(eye) < ENCLOSED {
+        if self.enclosure(eye) < INDOORS {
             return None;
         }
         let Axes { up, front, right } = self.axes;

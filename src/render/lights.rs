@@ -19,7 +19,7 @@ const HORIZON: Vec3 = Vec3::new(0.85, 0.90, 0.95);
 const GROUND: Vec3 = Vec3::new(0.30, 0.28, 0.25);
 const PANEL_RADIANCE: Vec3 = Vec3::new(12.0, 11.4, 10.2);
 /// Share of shadow rays that go to the sun where there is also a panel: it shines in only through windows.
-const SUN_SHARE_INDOORS: f32 = 0.25;
+const SUN_SHARE_INDOORS: f32 = 0.125;
 
 /// A rectangle that shines to the side of `edges[0]` × `edges[1]`. Rays do not meet it: it is no part of the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -273,8 +273,8 @@ mod tests {
         assert!(lights.has_panel() && !lights.has_emitters());
         let below = lights.sample(Vec3::new(0.5, 1.0, 0.5), 0.9, [0.5, 0.5]).unwrap();
         assert!((below.direction - Vec3::Y).length() < 1e-6 && below.distance == 2.0);
-        // At the centre: 2² / (cos 1 · area 1), chosen three times in four.
-        assert!((below.density - 3.0).abs() < 1e-5, "{}", below.density);
+        // At the centre: 2² / (cos 1 · area 1), chosen seven times in eight.
+        assert!((below.density - 3.5).abs() < 1e-5, "{}", below.density);
         assert!(lights.sample(Vec3::new(0.5, 9.0, 0.5), 0.9, [0.5, 0.5]).is_none());
         let sun = lights.sample(Vec3::ZERO, 0.1, [0.999, 0.3]).unwrap();
         assert!(sun.distance == f32::INFINITY && sun.direction.dot(sky.sun) > SUN_COSINE - 1e-6);
