@@ -28,4 +28,8 @@ pub mod inspect;
 pub mod mesh;
 pub mod probability;
 pub mod progress;
+#[cfg(feature = "embree")]
+pub mod record;
+#[cfg(feature = "embree")]
+pub mod render;
 pub mod tree;
