@@ -21,4 +21,5 @@ pub mod format;
 pub mod geometry;
 pub mod mesh;
 pub mod progress;
+pub mod traverse;
 pub mod tree;
