@@ -32,4 +32,5 @@ pub mod progress;
 pub mod record;
 #[cfg(feature = "embree")]
 pub mod render;
+pub mod traverse;
 pub mod tree;
