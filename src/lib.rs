@@ -18,11 +18,14 @@
 
 pub mod builder;
 pub mod cli;
+pub mod compare;
 pub mod files;
 pub mod format;
 pub mod geometry;
 pub mod mesh;
 pub mod probability;
 pub mod progress;
+pub mod replay;
+pub mod report;
 pub mod traverse;
 pub mod tree;
