@@ -18,6 +18,7 @@
 
 pub mod builder;
 pub mod cli;
+pub mod compare;
 pub mod diff;
 #[cfg(feature = "embree")]
 pub mod embree;
@@ -28,6 +29,8 @@ pub mod inspect;
 pub mod mesh;
 pub mod probability;
 pub mod progress;
+pub mod replay;
+pub mod report;
 #[cfg(feature = "embree")]
 pub mod record;
 #[cfg(feature = "embree")]
