@@ -330,7 +330,8 @@ class Reader {
     if (tree_.nodes[at.node].count == leaf_bit) throw Doubt("a leaf is empty");
   }
 
-  // Adds a face of a leaf: one triangle, or the two of a quad.
+  // Adds a face of a leaf: one triangle, or the two of a quad. The leaf's box contains them; where spatial splits have
+  // clipped it, they overlap.
   void add_face(const Block& block, std::uint32_t geometry, std::uint32_t face, std::uint32_t node) {
     if (geometry >= scene_.parts().size()) throw Doubt("a leaf names a geometry that does not exist");
     const Part& part = scene_.parts()[geometry];
@@ -338,8 +339,7 @@ class Reader {
     if (face >= part.faces) throw Doubt("a leaf names a primitive that does not exist");
     if (!scene_.keeps(part, face)) throw Doubt("a leaf names a primitive that Embree cannot have kept");
     if (++references_ > most_references_) throw Doubt("the leaves name more primitives than were attached");
-    const std::uint32_t triangle =
-        part.first_triangle + part.triangles_per_face() * face;
+    const std::uint32_t triangle = part.first_triangle + part.triangles_per_face() * face;
     if (seen_[triangle]) {
       if (scene_.quality() != RTC_BUILD_QUALITY_HIGH) throw Doubt("a primitive stands in two leaves without spatial splits");
       tree_.splits = true;
@@ -347,21 +347,20 @@ class Reader {
       seen_[triangle] = true;
       distinct_++;
     }
-    check_inside(part, face, node);
-    for (std::uint32_t half = 0; half < part.triangles_per_face(); half++) tree_.add_primitive(node, triangle + half);
-  }
-
-  // A leaf's box contains its primitives; where spatial splits have clipped it, they overlap.
-  void check_inside(const Part& part, std::uint32_t face, std::uint32_t node) {
+    // Of a quad that spatial splits have cut, one triangle may lie wholly outside of this leaf: then it is in others.
     const Bounds box = tree_.bounds(node);
-    Bounds bounds = Bounds::empty();
+    std::uint32_t added = 0;
     for (std::uint32_t half = 0; half < part.triangles_per_face(); half++) {
-      bounds.extend(triangle_bounds(scene_, part, face, half));
+      const Bounds bounds = triangle_bounds(scene_, part, face, half);
+      if (!box.contains(bounds)) {
+        if (scene_.quality() != RTC_BUILD_QUALITY_HIGH) throw Doubt("a leaf's box does not contain its primitives");
+        tree_.splits = true;
+        if (!box.overlaps(bounds)) continue;
+      }
+      tree_.add_primitive(node, triangle + half);
+      added++;
     }
-    if (box.contains(bounds)) return;
-    if (scene_.quality() != RTC_BUILD_QUALITY_HIGH) throw Doubt("a leaf's box does not contain its primitives");
-    if (!box.overlaps(bounds)) throw Doubt("a leaf's box is away from its primitives");
-    tree_.splits = true;
+    if (added == 0) throw Doubt("a leaf's box is away from its primitives");
   }
 
   void check_primitives() const {

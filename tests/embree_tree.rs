@@ -98,6 +98,7 @@ fn validate(built: &BuiltTree) {
     let splits = flags & SPATIAL_SPLITS != 0;
     let mut parents = vec![0; tree.nodes.len()];
     let mut in_leaves = vec![0; triangles.len()];
+    let mut covered = vec![Aabb::EMPTY; triangles.len()];
     let mut next_primitive = 0;
     for (index, node) in tree.nodes.iter().enumerate() {
         if !node.is_leaf() {
@@ -113,6 +114,7 @@ fn validate(built: &BuiltTree) {
         next_primitive += node.len();
         for &triangle in &tree.primitives[node.range()] {
             in_leaves[triangle as usize] += 1;
+            covered[triangle as usize] = covered[triangle as usize].union(&node.bounds());
             let (box_, bounds) = (node.bounds(), triangles[triangle as usize].bounds());
             assert!(triangles[triangle as usize].is_finite());
             assert!(box_.contains(&bounds) || splits && overlaps(&box_, &bounds), "{box_:?} {bounds:?}");

@@ -10,6 +10,7 @@ mod layout;
 mod read;
 mod record;
 mod recover;
+mod verify;
 mod write;
 
 pub use codec::{Codec, EncodedChunk, encode_chunk};

@@ -125,7 +125,9 @@ impl Cutter {
                 }
             }
         }
-        let right = remaining == 3;
+        let last = [self.previous[ear], ear, self.next[ear]].map(|i| self.points[i]);
+        // A loop that runs the other way round leaves a triangle that does, too.
+        let right = remaining == 3 && turn(last[0], last[1], last[2]) >= 0.0;
         // What is left: the last triangle, or a ring that cannot be cut properly.
         let mut middle = self.next[ear];
         for _ in 2..remaining {
@@ -193,4 +195,144 @@ fn fan(corners: &[u32], triangles: &mut Vec<u32>) {
 #[inline]
 fn turn(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Triangle;
+    use proptest::prelude::*;
+    use std::f64::consts::TAU;
+
+    /// Cuts a polygon and returns whether that went well, and the triangles.
+    fn cut(polygon: &[Vec3]) -> (bool, Vec<Triangle>) {
+        let corners: Vec<u32> = (0..polygon.len() as u32).collect();
+        let mut indices = Vec::new();
+        let right = Cutter::default().cut(polygon, &corners, &mut indices);
+        assert_eq!(indices.len(), 3 * polygon.len().saturating_sub(2), "n - 2 triangles, always");
+        let (faces, _) = indices.as_chunks::<3>();
+        (right, faces.iter().map(|face| Triangle(face.map(|i| polygon[i as usize]))).collect())
+    }
+
+    /// The vector area of a planar polygon and the sum of its triangles' areas agree only when they cover it once.
+    fn covers(polygon: &[Vec3]) -> bool {
+        let (right, triangles) = cut(polygon);
+        let mut vector = glam::DVec3::ZERO;
+        for (i, a) in polygon.iter().enumerate() {
+            vector += a.as_dvec3().cross(polygon[(i + 1) % polygon.len()].as_dvec3());
+        }
+        let area = |t: &Triangle| {
+            let [a, b, c] = t.0.map(|v| v.as_dvec3());
+            (b - a).cross(c - a).length()
+        };
+        let sum: f64 = triangles.iter().map(area).sum();
+        right && (sum - vector.length()).abs() <= 1e-5 * vector.length()
+    }
+
+    fn flat(points: &[(f32, f32)]) -> Vec<Vec3> {
+        points.iter().map(|&(x, y)| Vec3::new(x, y, 0.0)).collect()
+    }
+
+    #[test]
+    fn convex_polygons_are_fans_from_the_first_corner() {
+        let mut indices = Vec::new();
+        let hexagon = flat(&[(0.0, 0.0), (1.0, 0.0), (2.0, 1.0), (2.0, 2.0), (1.0, 2.0), (0.0, 1.0)]);
+        assert!(Cutter::default().cut(&hexagon, &[0, 1, 2, 3, 4, 5], &mut indices));
+        assert_eq!(indices, [0, 1, 2, 0, 2, 3, 0, 3, 4, 0, 4, 5]);
+    }
+
+    #[test]
+    fn a_concave_quad_is_cut_through_its_reflex_corner() {
+        for turn in 0..4 {
+            let mut arrow = flat(&[(0.0, 0.0), (2.0, 1.0), (0.0, 2.0), (0.5, 1.0)]);
+            arrow.rotate_left(turn);
+            assert!(covers(&arrow), "turned by {turn}");
+            arrow.reverse();
+            assert!(covers(&arrow), "reversed, turned by {turn}");
+        }
+    }
+
+    #[test]
+    fn combs_keyholes_and_straight_edges() {
+        let mut comb = Vec::new();
+        for tooth in 0..230 {
+            let x = tooth as f32;
+            comb.extend([(x, 0.0), (x + 0.1, 9.0), (x + 0.2, 9.0), (x + 0.3, 0.0)]);
+        }
+        comb.extend([(230.0, -1.0), (0.0, -1.0)]);
+        assert!(comb.len() > 900 && covers(&flat(&comb)));
+        // A square with a square hole, joined by a cut that is walked both ways.
+        let ring = [
+            (0.0, 0.0),
+            (4.0, 0.0),
+            (4.0, 4.0),
+            (0.0, 4.0),
+            (0.0, 0.0),
+            (1.0, 1.0),
+            (1.0, 3.0),
+            (3.0, 3.0),
+            (3.0, 1.0),
+            (1.0, 1.0),
+        ];
+        assert!(covers(&flat(&ring)));
+        let straight =
+            [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (2.0, 0.0), (2.0, 2.0), (1.0, 1.0), (0.0, 2.0), (0.0, 1.0)];
+        assert!(covers(&flat(&straight)));
+    }
+
+    #[test]
+    fn what_crosses_itself_or_has_no_plane_still_gives_triangles() {
+        let loops: Vec<(f32, f32)> = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)].repeat(234);
+        cut(&flat(&loops));
+        assert!(!cut(&flat(&[(0.0, 0.0), (4.0, 4.0), (4.0, 0.0), (0.0, 4.1), (2.0, 9.0)])).0);
+        assert!(cut(&flat(&[(0.0, 0.0), (1.0, 1.0), (2.0, 2.0), (3.0, 3.0)])).0);
+        assert!(cut(&flat(&[(0.0, 0.0), (f32::NAN, 1.0), (2.0, 2.0), (f32::INFINITY, 3.0), (0.0, 1.0)])).0);
+        assert!(cut(&flat(&[(0.0, 0.0); 700])).0);
+    }
+
+    #[test]
+    fn the_work_for_a_huge_polygon_is_bounded() {
+        // A saw of 200,000 corners in which no ear is left after the first few: without a bound, hours.
+        let polygon: Vec<Vec3> = (0..200_000)
+            .map(|i| {
+                let angle = TAU * f64::from(i) * 7919.0 / 200_000.0;
+                Vec3::new(angle.cos() as f32, angle.sin() as f32, 0.0) * (1.0 + (i % 3) as f32)
+            })
+            .collect();
+        let started = std::time::Instant::now();
+        cut(&polygon);
+        assert!(started.elapsed().as_secs() < 20);
+    }
+
+    proptest! {
+        /// Star-shaped around the origin, and so simple, with corners that are reflex as often as not; in any plane.
+        #[test]
+        fn random_simple_polygons_keep_their_area(
+            radii in proptest::collection::vec(0.05_f64..1.0, 4..120),
+            axis in prop::array::uniform3(-1.0_f32..1.0),
+            reversed: bool,
+        ) {
+            let normal = Vec3::from(axis).try_normalize().unwrap_or(Vec3::Z);
+            let (x, y) = normal.any_orthonormal_pair();
+            let count = radii.len() as f64;
+            let mut polygon: Vec<Vec3> = radii
+                .iter()
+                .enumerate()
+                .map(|(i, radius)| {
+                    let angle = TAU * i as f64 / count;
+                    x * (radius * angle.cos()) as f32 + y * (radius * angle.sin()) as f32
+                })
+                .collect();
+            if reversed {
+                polygon.reverse();
+            }
+            prop_assert!(covers(&polygon));
+        }
+
+        #[test]
+        fn any_points_give_n_minus_2_triangles(points in proptest::collection::vec(any::<(f32, f32, f32)>(), 3..40)) {
+            let polygon: Vec<Vec3> = points.into_iter().map(Vec3::from).collect();
+            cut(&polygon);
+        }
+    }
 }

@@ -92,7 +92,7 @@ pub fn encode_chunk<'a>(
         u32::try_from(rejects.len()).map_err(|_| invalid("4 billion rejects in a chunk".into()))?;
     let mut check = RecordCheck::default();
     check.add(records);
-    check.finish(0, records, rejects).map_err(|error| invalid(error.problem.to_string()))?;
+    check.finish(&Place::Decoded(0), records, rejects).map_err(|error| invalid(error.problem.to_string()))?;
     if !rejects.is_sorted_by_key(|reject| reject.record) {
         return Err(invalid("rejects that are not sorted by record".into()));
     }
@@ -198,6 +198,23 @@ fn from_columns(columns: &[u8], records: &mut [u8]) {
     }
 }
 
+/// Where the body of a chunk stands in the file, for errors.
+pub(super) enum Place {
+    /// Byte by byte from this offset.
+    Raw(u64),
+    /// Compressed, so that only the start of the whole body can be named.
+    Decoded(u64),
+}
+
+impl Place {
+    fn offset(&self, within: usize) -> u64 {
+        match self {
+            Place::Raw(body) => body + within as u64,
+            Place::Decoded(body) => *body,
+        }
+    }
+}
+
 /// The check of every record's fields, gathered so that the loop has no branch and vectorises.
 #[derive(Default)]
 pub(super) struct RecordCheck {
@@ -219,18 +236,23 @@ impl RecordCheck {
         self.with_rejects += with_rejects;
     }
 
-    /// Whether all that was added is right, together with its rejects; `body` is where the records start in the file.
+    /// Whether all that was added is right, together with its rejects.
     pub(super) fn finish(
         &self,
-        body: u64,
+        body: &Place,
         records: &[Record],
         rejects: &[Reject],
     ) -> Result<(), FormatError> {
         if self.kinds > super::kind::OCCLUSION
             && let Some(index) = records.iter().position(|record| record.kind > super::kind::OCCLUSION)
         {
-            let offset = body + (index * RECORD_BYTES + std::mem::offset_of!(Record, kind)) as u64;
-            return Err(FormatError::field(offset, "kind of a record", records[index].kind, "0 or 1"));
+            let offset = body.offset(index * RECORD_BYTES + std::mem::offset_of!(Record, kind));
+            return Err(FormatError::field(
+                offset,
+                format!("kind of record {index} of the chunk"),
+                records[index].kind,
+                "0 or 1",
+            ));
         }
         if self.with_rejects == 0 && rejects.is_empty() {
             return Ok(());
@@ -239,10 +261,10 @@ impl RecordCheck {
     }
 
     #[cold]
-    fn check_rejects(&self, body: u64, records: &[Record], rejects: &[Reject]) -> Result<(), FormatError> {
+    fn check_rejects(&self, body: &Place, records: &[Record], rejects: &[Reject]) -> Result<(), FormatError> {
         let mut named = vec![false; records.len()];
         for (index, reject) in rejects.iter().enumerate() {
-            let offset = body + (size_of_val(records) + index * size_of::<Reject>()) as u64;
+            let offset = body.offset(size_of_val(records) + index * size_of::<Reject>());
             let record = reject.record as usize;
             let Some(name) = named.get_mut(record) else {
                 let expected = format!("less than the {} records of the chunk", records.len());
@@ -262,7 +284,12 @@ impl RecordCheck {
         let found = named.iter().filter(|&&named| named).count();
         if found != self.with_rejects {
             let expected = format!("{}, as their flags say", self.with_rejects);
-            return Err(FormatError::field(body, "records with rejects in the chunk", found, expected));
+            return Err(FormatError::field(
+                body.offset(0),
+                "records with rejects in the chunk",
+                found,
+                expected,
+            ));
         }
         Ok(())
     }

@@ -11,7 +11,7 @@ use crate::mesh::{Faces, Material, Mesh};
 /// Half the width of the court, and of the outer walls.
 const COURT: f64 = 6.0;
 const OUTER: f64 = 9.0;
-const BAYS: u32 = 4;
+const BAYS: u32 = 3;
 const BAY: f64 = 2.0 * COURT / BAYS as f64;
 /// Half the thickness of the arcade's wall.
 const WALL: f64 = 0.28;
@@ -19,8 +19,8 @@ const WALL: f64 = 0.28;
 const FLOORS: [(f64, f64); 2] = [(0.0, 4.4), (4.4, 3.6)];
 const EAVES: f64 = 8.0;
 
-/// The courtyard. `detail` 1 has 6 thousand triangles, 13 has a million, 41 ten million. The court's middle is the origin, y is
-/// up, one unit is a metre; a camera at (4.6, 1.7, 5.2) looking at (-3, 2.6, -6) stands inside under the open sky.
+/// The courtyard. `detail` 1 has 5 thousand triangles, 18 a million, 56 ten million. The court's middle is the origin, y is
+/// up, one unit is a metre; a camera at (5, 1.7, 1.5) looking at (-4, 2.9, -3) stands inside under the open sky.
 pub fn courtyard(detail: u32, seed: u64) -> Mesh {
     let detail = detail.max(1);
     let mut b = Builder::new();
@@ -39,7 +39,7 @@ pub fn courtyard(detail: u32, seed: u64) -> Mesh {
     });
 
     b.part("paving", paving, Faces::Triangles);
-    let cells = 10 * detail;
+    let cells = 6 * detail;
     b.sheet(cells, cells, |u, v| {
         let (x, z) = (2.0 * OUTER * u - OUTER, OUTER - 2.0 * OUTER * v);
         // Rises a little towards the middle, as courts do to shed the rain.
@@ -83,7 +83,7 @@ pub fn courtyard(detail: u32, seed: u64) -> Mesh {
             along(&[(0.30, 0.0), (0.45, 0.7), (0.50, 0.75), (0.0, 0.70)], f)
         });
         b.part("leaves", leaves, Faces::Triangles);
-        foliage(&mut b, [centre[0], 1.75, centre[2]], 90 * detail * detail, f64::from(detail), &mut random);
+        foliage(&mut b, [centre[0], 1.75, centre[2]], 70 * detail * detail, f64::from(detail), &mut random);
     }
     b.finish()
 }
@@ -103,7 +103,7 @@ fn arch(b: &mut Builder, side: u32, bay: u32, (bottom, height): (f64, f64), deta
     let radius = 0.5 * BAY - WALL;
     let spring = bottom + height - radius - 0.55;
     let top = bottom + height;
-    let steps = 6 * detail;
+    let steps = 5 * detail;
     // Half a turn from the left end to the right; the outline above it has a straight piece over each column.
     let inner = |f: f64| {
         let (cos, sin) = circle(0.5 - 0.5 * f);
@@ -133,7 +133,7 @@ fn arch(b: &mut Builder, side: u32, bay: u32, (bottom, height): (f64, f64), deta
     }
     b.sheet(steps, detail, |u, v| {
         let (x, y) = inner(u);
-        turned(side, [x, y, -COURT + WALL - 2.0 * WALL * v])
+        turned(side, [x, y, -COURT - WALL + 2.0 * WALL * v])
     });
 }
 
@@ -162,7 +162,7 @@ fn column(b: &mut Builder, side: u32, bay: u32, (bottom, height): (f64, f64), de
         (1.25 * radius, shaft - 0.14),
     ];
     let middle = place([0.0; 3]);
-    b.revolve(middle, 4 + 4 * detail, 6 * detail.div_ceil(2), |f| along(&profile, f));
+    b.revolve(middle, 2 + 4 * detail, 6 * detail, |f| along(&profile, f));
 }
 
 /// Between the columns of the upper floor.
@@ -189,14 +189,12 @@ fn back_wall(b: &mut Builder, side: u32, detail: u32) {
     });
 }
 
-/// The ceiling of a gallery, a half ellipse across it, and the floor on top.
+/// The ceiling of a gallery, a quarter ellipse from over the arches down to the outer wall, and the floor on top.
 fn vault(b: &mut Builder, side: u32, (bottom, height): (f64, f64), detail: u32) {
     let (near, far) = (-COURT - WALL, -OUTER);
-    let (middle, half) = (0.5 * (near + far), 0.5 * (near - far));
-    b.sheet(6 * detail, 6 * detail, |u, v| {
-        let (cos, sin) = circle(0.5 * v);
-        let rise = 1.1 * sin;
-        turned(side, [2.0 * OUTER * u - OUTER, bottom + height - 1.3 + rise, middle - half * cos])
+    b.sheet(6 * detail, 4 * detail, |u, v| {
+        let (cos, sin) = circle(0.25 * v);
+        turned(side, [2.0 * OUTER * u - OUTER, bottom + height - 1.4 + 1.3 * sin, near + (far - near) * cos])
     });
     let top = bottom + height;
     b.rectangle(
@@ -207,7 +205,7 @@ fn vault(b: &mut Builder, side: u32, (bottom, height): (f64, f64), detail: u32) 
 
 /// A slope of tiles: half rounds side by side, from the eaves up to the outer wall; mitred at the corners.
 fn roof(b: &mut Builder, side: u32, detail: u32) {
-    b.sheet(24 * detail, 2 * detail, |u, v| {
+    b.sheet(14 * detail, 2 * detail, |u, v| {
         let depth = COURT - 0.45 + (OUTER + 0.3 - COURT + 0.45) * v;
         let ridge = 0.07 * circle(12.0 * u).1.abs();
         turned(side, [depth * (2.0 * u - 1.0), EAVES + 0.05 + 1.3 * v + ridge, -depth])
@@ -226,14 +224,14 @@ fn fountain(b: &mut Builder, detail: u32) {
         (0.70, 1.55),
         (0.0, 1.38),
     ];
-    let segments = 8 + 8 * detail;
+    let segments = 6 + 6 * detail;
     b.revolve([0.0; 3], segments, 6 * detail, |f| along(&basin, f));
     b.revolve([0.0; 3], segments, 7 * detail, |f| along(&stem, f));
 }
 
 /// The water in the basin, with rings around the stem.
 fn pool(b: &mut Builder, detail: u32) {
-    b.revolve([0.0; 3], 8 + 8 * detail, 2 * detail, |f| {
+    b.revolve([0.0; 3], 6 + 6 * detail, 2 * detail, |f| {
         let radius = 1.53 - 1.33 * f;
         (radius, 0.46 + 0.006 * circle(6.0 * radius).1)
     });
