@@ -1,8 +1,9 @@
 //! Build time and SAH cost, ours beside other crates', in one run: `cargo bench --bench build -- [SCENE…]`.
 //!
 //! Not criterion: it measures one contender after the other, and a shared machine drifts meanwhile. Here every round
-//! runs each contender once; the table shows medians over rounds. Pin the process to one processor (`taskset -c 0`) to
-//! see tinybvh on one thread: it makes its own threads.
+//! runs each contender once; the table shows medians over rounds. Beside the wall clock it shows processor seconds of
+//! all threads on a pool of one: other processes disturb them less, and they are what tinybvh, which makes its own
+//! threads, can be compared by.
 //!
 //! SAH cost: c_I 1.2 for a node visit (0.6 a box test), c_P 1, relative to the root's area, with our code for all.
 //! Scenes are files (`.obj`, `.ply`, also `.zst`); without any, one that is generated.
@@ -23,11 +24,40 @@ use std::hint::black_box;
 use std::path::Path;
 use std::time::Instant;
 
-const ROUNDS: usize = 9;
+const ROUNDS: usize = 7;
 const THREADS: [usize; 2] = [1, 2];
 
 /// Builds on the threads of a pool, and says how long it took; on request also what came out.
-type Run<'a> = Box<dyn FnMut(&ThreadPool, bool) -> (f64, Option<Tree>) + 'a>;
+type Run<'a> = Box<dyn FnMut(&ThreadPool, bool) -> (Took, Option<Tree>) + 'a>;
+
+/// Seconds by the wall clock and of the processors.
+struct Took {
+    wall: f64,
+    processor: f64,
+}
+
+/// Measures from now until it is asked.
+struct Stopwatch(Instant, f64);
+
+impl Stopwatch {
+    fn start() -> Stopwatch {
+        Stopwatch(Instant::now(), processor_seconds())
+    }
+
+    fn stop(self) -> Took {
+        Took { wall: self.0.elapsed().as_secs_f64(), processor: processor_seconds() - self.1 }
+    }
+}
+
+/// Time that this process' threads have spent on a processor, from Linux; 0 elsewhere.
+fn processor_seconds() -> f64 {
+    let nanoseconds = |task: std::io::Result<std::fs::DirEntry>| -> Option<u64> {
+        let text = std::fs::read_to_string(task.ok()?.path().join("schedstat")).ok()?;
+        text.split(' ').next()?.parse().ok()
+    };
+    let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten();
+    tasks.filter_map(nanoseconds).sum::<u64>() as f64 * 1e-9
+}
 
 fn main() {
     let paths: Vec<String> =
@@ -48,25 +78,35 @@ fn compare(name: &str, triangles: &[Triangle]) {
         ThreadPoolBuilder::new().num_threads(threads).build().expect("threads can be started")
     });
     let mut contenders = contenders(triangles);
-    let mut seconds = vec![[const { Vec::new() }; THREADS.len()]; contenders.len()];
+    // Processor seconds on one thread, then wall seconds for each number of threads.
+    let mut seconds = vec![[const { Vec::new() }; 1 + THREADS.len()]; contenders.len()];
     for _ in 0..ROUNDS {
-        for (pool, threads) in pools.iter().zip(0..) {
+        for (column, pool) in pools.iter().enumerate() {
             for ((_, run), seconds) in contenders.iter_mut().zip(&mut seconds) {
-                seconds[threads as usize].push(run(pool, false).0);
+                let took = run(pool, false).0;
+                seconds[1 + column].push(took.wall);
+                if column == 0 {
+                    seconds[0].push(took.processor);
+                }
             }
         }
     }
     println!("\n{name}, {} triangles: median of {ROUNDS} rounds", triangles.len());
-    println!("{:<24}{:>9}{:>9}{:>11}{:>7}{:>11}", "", "1 thread", "2", "SAH cost", "depth", "nodes");
+    println!(
+        "{:<24}{:>10}{:>10}{:>10}{:>10}{:>7}{:>10}",
+        "", "processor", "1 thread", "2 threads", "SAH cost", "depth", "nodes"
+    );
     for ((name, run), mut seconds) in contenders.into_iter().zip(seconds) {
         let mut run = run;
         let tree = run(&pools[1], true).1.expect("asked for");
         let note =
             validate(&tree, triangles, usize::MAX).map_or_else(|error| error.to_string(), |()| String::new());
-        let [one, two] = seconds.each_mut().map(|s| median(s));
+        let [processor, one, two] = seconds.each_mut().map(|s| median(s));
         let cost = sah_cost(tree.view(), 0.6, 1.0);
         let Statistics { depth, nodes, .. } = Statistics::of(tree.view());
-        println!("{name:<24}{one:>9.3}{two:>9.3}{cost:>11.3}{depth:>7}{nodes:>11}  {note}");
+        println!(
+            "{name:<24}{processor:>10.3}{one:>10.3}{two:>10.3}{cost:>10.3}{depth:>7}{nodes:>10}  {note}"
+        );
     }
 }
 
@@ -95,11 +135,11 @@ fn contenders(triangles: &[Triangle]) -> Vec<(&'static str, Run<'_>)> {
 fn ours(triangles: &[Triangle], config: Config) -> Run<'_> {
     Box::new(move |pool, keep| {
         pool.install(|| {
-            let started = Instant::now();
+            let stopwatch = Stopwatch::start();
             let tree =
                 builder::build(triangles, &config, &Progress::hidden()).expect("the configuration is valid");
-            let seconds = started.elapsed().as_secs_f64();
-            (seconds, keep.then_some(tree))
+            let took = stopwatch.stop();
+            (took, keep.then_some(tree))
         })
     })
 }
@@ -111,10 +151,10 @@ where
     let mut input = P::prepare(triangles);
     Box::new(move |pool, keep| {
         pool.install(|| {
-            let started = Instant::now();
+            let stopwatch = Stopwatch::start();
             let built = black_box(peer.build(&mut input));
-            let seconds = started.elapsed().as_secs_f64();
-            (seconds, keep.then(|| P::tree(&built)))
+            let took = stopwatch.stop();
+            (took, keep.then(|| P::tree(&built)))
         })
     })
 }
