@@ -10,6 +10,7 @@
 
 pub mod binned;
 pub mod cost;
+pub mod exhaustive;
 mod recursion;
 pub mod reference;
 pub mod sweep;

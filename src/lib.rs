@@ -22,6 +22,7 @@ pub mod files;
 pub mod format;
 pub mod geometry;
 pub mod mesh;
+pub mod optimize;
 pub mod probability;
 pub mod progress;
 pub mod tree;
