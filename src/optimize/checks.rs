@@ -3,10 +3,8 @@
 use super::measure::{Measure, RayMeasure};
 use super::random::Random;
 use super::working::{NONE, Working};
-use crate::builder::{self, Splits};
 use crate::geometry::{Aabb, Ray, Triangle, Vec3};
-use crate::progress::Progress;
-use crate::tree::Tree;
+use crate::tree::{Node, Tree};
 
 pub fn triangles(count: usize, seed: u64) -> Vec<Triangle> {
     let mut random = Random::new(seed, 7);
@@ -31,14 +29,8 @@ pub fn rays(count: usize, seed: u64) -> Vec<Ray> {
         .collect()
 }
 
-pub fn sweep(triangles: &[Triangle]) -> Tree {
-    let config = builder::Config { splits: Splits::Sweep, ..Default::default() };
-    builder::build(triangles, &config, &Progress::hidden()).expect("a valid configuration")
-}
-
 /// A tree that has much to be mended: triangles in the order they came, halved.
 pub fn poor_tree(triangles: &[Triangle]) -> Tree {
-    use crate::tree::Node;
     let mut tree = Tree { nodes: vec![Node::leaf(Aabb::EMPTY, 0, 0)], primitives: vec![] };
     let mut open = vec![(0..triangles.len(), 0usize)];
     while let Some((range, place)) = open.pop() {

@@ -156,7 +156,7 @@ pub fn climb<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<Step>
     let below = Count::sum(&counts);
     let mut steps = vec![below.step(working)];
     // A changed subtree has the same box: at its root and at the top everything is as before, only above it may see other grandchildren.
-    counts.push(climb_from(working, top, config.max_work - below.work));
+    counts.push(climb_from(working, top, config.max_work.saturating_sub(below.work)));
     steps.push(Count::sum(&counts).step(working));
     steps
 }
