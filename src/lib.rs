@@ -18,11 +18,23 @@
 
 pub mod builder;
 pub mod cli;
+pub mod compare;
+pub mod diff;
+#[cfg(feature = "embree")]
+pub mod embree;
 pub mod files;
 pub mod format;
 pub mod geometry;
+pub mod inspect;
 pub mod mesh;
 pub mod optimize;
 pub mod probability;
 pub mod progress;
+pub mod replay;
+pub mod report;
+#[cfg(feature = "embree")]
+pub mod record;
+#[cfg(feature = "embree")]
+pub mod render;
+pub mod traverse;
 pub mod tree;

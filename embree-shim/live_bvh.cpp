@@ -1,0 +1,422 @@
+// Reads the tree that Embree traverses from its memory, right after the commit: scene -> list of wrappers -> BVHs -> nodes
+// and leaves -> Tree, as it is: wide nodes stay wide, a leaf of several blocks is one leaf.
+//
+// The layout is no interface of Embree's, so nothing is believed: every address is checked before it is read (memory.hpp),
+// every fact that can be checked is (the functions named check_*), and the first one that does not hold throws a Doubt.
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+#include "embree_layout.hpp"
+#include "tree.hpp"
+
+namespace shim {
+namespace {
+
+using layout::Accel;
+using layout::Block;
+
+template <typename T>
+T read(Memory& memory, Object object, std::uint64_t address) {
+  T value;
+  memory.read(object, address, &value, sizeof value);
+  return value;
+}
+
+Bounds bounds_of(const Accel& accel, int time) noexcept {
+  Bounds bounds;
+  std::copy(accel.bounds[time][0], accel.bounds[time][0] + 3, bounds.lower);
+  std::copy(accel.bounds[time][1], accel.bounds[time][1] + 3, bounds.upper);
+  return bounds;
+}
+
+Bounds bounds_of(const RTCBounds& bounds) noexcept {
+  return {{bounds.lower_x, bounds.lower_y, bounds.lower_z}, {bounds.upper_x, bounds.upper_y, bounds.upper_z}};
+}
+
+// One BVH of the scene that has something in it.
+struct Source {
+  int width;
+  const Block* block;
+  std::uint64_t root;
+  Bounds bounds;
+  std::string isa;
+  bool quantised = false;
+};
+
+// A reference that is still to be followed into node `node` of the tree.
+struct Pending {
+  std::uint64_t reference;
+  std::uint32_t node;
+  std::uint32_t depth;
+  std::uint32_t source;
+};
+
+class Reader {
+ public:
+  Reader(const Scene& scene, Memory& memory, std::uint32_t version, Image image)
+      : scene_(scene), memory_(memory), version_(version), image_(std::move(image)) {}
+
+  Tree read_tree() {
+    check_library();
+    const std::vector<std::uint64_t> wrappers = read_scene();
+    for (const std::uint64_t wrapper : wrappers) read_accel(wrapper);
+    check_bounds();
+    count_expected();
+    plant();
+    while (!pending_.empty()) {
+      const Pending next = pending_.back();
+      pending_.pop_back();
+      follow(next);
+    }
+    check_primitives();
+    name_producer();
+    return std::move(tree_);
+  }
+
+ private:
+  void check_library() const {
+    if (version_ != layout::version) {
+      throw Doubt("Embree's version is " + std::to_string(version_) + ", and the layout is known of " +
+                  std::to_string(layout::version) + " only");
+    }
+    if (image_.segments.empty()) throw Doubt("the image of libembree3 is not found in this process");
+  }
+
+  // Checks the scene object, and returns the wrappers in its list.
+  std::vector<std::uint64_t> read_scene() {
+    const auto address = reinterpret_cast<std::uintptr_t>(scene_.get());
+    const Accel accel = read<Accel>(memory_, Object::scene, address);
+    check_vtable(accel, "the scene");
+    RTCLinearBounds linear;
+    rtcGetSceneLinearBounds(scene_.get(), &linear);
+    scene_bounds_ = bounds_of(linear.bounds0);
+    if (!(bounds_of(accel, 0) == scene_bounds_) || !(bounds_of(accel, 1) == bounds_of(linear.bounds1))) {
+      throw Doubt("the scene's bounds differ from those of rtcGetSceneLinearBounds");
+    }
+    const auto list = read<layout::Vector>(memory_, Object::scene, address + layout::scene_accels);
+    constexpr std::uint64_t most = 64;  // one per kind of geometry: a scene of ours has at most two
+    if (list.begin > list.end || list.end > list.capacity || (list.end - list.begin) % 8 != 0 ||
+        (list.end - list.begin) / 8 > most) {
+      throw Doubt("the scene's list of acceleration structures is not a list");
+    }
+    std::vector<std::uint64_t> wrappers((list.end - list.begin) / 8);
+    if (!wrappers.empty()) memory_.read(Object::accel_list, list.begin, wrappers.data(), 8 * wrappers.size());
+    return wrappers;
+  }
+
+  // Checks a wrapper and its BVH, and adds it to the sources unless it is empty.
+  void read_accel(std::uint64_t address) {
+    const auto wrapper = read<layout::Wrapper>(memory_, Object::accel, address);
+    check_vtable(wrapper.accel, "an acceleration structure");
+    if (wrapper.accel.type != layout::type_wrapper) {
+      throw Doubt("an acceleration structure of the scene has type " + std::to_string(wrapper.accel.type));
+    }
+    const auto bvh = read<layout::Bvh>(memory_, Object::bvh, wrapper.bvh);
+    check_vtable(bvh.accel, "a BVH");
+    if (bvh.accel.type != layout::type_bvh4 && bvh.accel.type != layout::type_bvh8) {
+      throw Doubt("a BVH has the unknown type " + std::to_string(bvh.accel.type));
+    }
+    if (bvh.device != reinterpret_cast<std::uintptr_t>(scene_.device().get())) {
+      throw Doubt("a BVH does not point back to its device");
+    }
+    if (bvh.scene != reinterpret_cast<std::uintptr_t>(scene_.get())) {
+      throw Doubt("a BVH does not point back to its scene");
+    }
+    Source source;
+    source.width = bvh.accel.type == layout::type_bvh8 ? 8 : 4;
+    source.block = find_block(bvh.primitive_type);
+    source.root = bvh.root;
+    if (source.root == layout::nothing) return;
+    source.isa = isa_of(read_name(wrapper.name), source.width);
+    source.bounds = bounds_of(bvh.accel, 0);
+    if (!source.bounds.is_proper()) throw Doubt("a BVH's bounds are inverted");
+    sources_.push_back(source);
+  }
+
+  void check_vtable(const Accel& accel, const char* what) const {
+    if (!covers(image_.segments, accel.vtable, 8)) {
+      throw Doubt(std::string("the vtable of ") + what + " is not in libembree3");
+    }
+  }
+
+  // The scene's box is that of its BVHs.
+  void check_bounds() const {
+    Bounds all = Bounds::empty();
+    for (const Source& source : sources_) all.extend(source.bounds);
+    if (!sources_.empty() && !(all == scene_bounds_)) throw Doubt("the BVHs' bounds differ from the scene's");
+  }
+
+  // A name inside libembree3's image.
+  std::string read_name(std::uint64_t address) {
+    constexpr std::size_t longest = 96;
+    std::string name;
+    while (name.size() < longest) {
+      if (!covers(image_.segments, address + name.size(), 1)) throw Doubt("a name is not in libembree3");
+      const char next = read<char>(memory_, Object::text, address + name.size());
+      if (next == '\0') return name;
+      name.push_back(next);
+    }
+    throw Doubt("a name in libembree3 does not end");
+  }
+
+  // The block layout of a primitive type: the first slot of its vtable is a function that returns the name. It is not called,
+  // but read: `lea rax, [rip + distance]; ret`.
+  const Block* find_block(std::uint64_t primitive_type) {
+    const auto vtable = read<std::uint64_t>(memory_, Object::vtable, primitive_type);
+    if (!covers(image_.segments, vtable, 8)) throw Doubt("the vtable of a primitive type is not in libembree3");
+    const auto function = read<std::uint64_t>(memory_, Object::vtable, vtable);
+    struct Code {
+      std::uint8_t bytes[8];
+    };
+    if (!covers(image_.code, function, sizeof(Code))) throw Doubt("a primitive type's function is not in libembree3");
+    const auto code = read<Code>(memory_, Object::code, function);
+    constexpr std::uint8_t load[3] = {0x48, 0x8D, 0x05};
+    constexpr std::uint8_t ret = 0xC3;
+    if (!std::equal(load, load + 3, code.bytes) || code.bytes[7] != ret) {
+      throw Doubt("a primitive type's function does not return a name");
+    }
+    std::int32_t distance;
+    std::memcpy(&distance, code.bytes + 3, sizeof distance);
+    const std::string name = read_name(function + 7 + static_cast<std::uint64_t>(std::int64_t{distance}));
+    for (const Block& block : layout::blocks) {
+      if (name == block.name) return &block;
+    }
+    throw Doubt("the primitive type is unknown: " + printable(name));
+  }
+
+  static std::string printable(std::string text) {
+    for (char& letter : text) {
+      if (letter < ' ' || letter > '~') letter = '?';
+    }
+    return text;
+  }
+
+  // The instruction set in a kernel's name, such as "avx2" in "avx2::BVH8Triangle4Intersector1Moeller".
+  static std::string isa_of(const std::string& kernel, int width) {
+    const std::size_t colons = kernel.find("::");
+    const std::string isa = kernel.substr(0, colons);
+    static constexpr const char* known[] = {"sse2", "sse42", "avx", "avx2", "avx512"};
+    const bool fits = std::find(std::begin(known), std::end(known), isa) != std::end(known) &&
+                      kernel.find("BVH" + std::to_string(width)) != std::string::npos;
+    if (colons == std::string::npos || !fits) throw Doubt("the kernel's name is unknown: " + printable(kernel));
+    return isa;
+  }
+
+  // How many faces the tree must hold.
+  void count_expected() {
+    for (const Part& part : scene_.parts()) {
+      for (std::uint64_t face = 0; face < part.faces; face++) expected_ += scene_.keeps(part, face) ? 1 : 0;
+    }
+    // Spatial splits replicate at most a fifth of the primitives; anything near the limit is not a tree.
+    most_references_ = scene_.quality() == RTC_BUILD_QUALITY_HIGH ? 4 * expected_ + 64 : expected_;
+    seen_.resize(scene_.triangle_count());
+  }
+
+  // The root of what there is: of the one BVH, of several under one added node, or of nothing.
+  void plant() {
+    tree_.nodes.resize(1);
+    tree_.set_bounds(0, sources_.empty() ? Bounds::empty() : scene_bounds_);
+    if (sources_.empty()) {
+      tree_.make_leaf(0);
+    } else if (sources_.size() == 1) {
+      pending_.push_back({sources_[0].root, 0, 1, 0});
+    } else {
+      const auto count = static_cast<std::uint32_t>(sources_.size());
+      const std::uint32_t first = tree_.make_inner(0, count);
+      for (std::uint32_t index = count; index-- > 0;) {
+        tree_.set_bounds(first + index, sources_[index].bounds);
+        pending_.push_back({sources_[index].root, first + index, 2, index});
+      }
+    }
+  }
+
+  void follow(const Pending& at) {
+    if (at.depth >= layout::max_depth) throw Doubt("a BVH is more than 100 levels deep");
+    const std::uint64_t tag = at.reference & layout::tag_mask;
+    const std::uint64_t address = at.reference & ~layout::tag_mask;
+    const bool wide = sources_[at.source].width == 8;
+    if (tag > layout::tag_leaf) {
+      read_leaf(address, tag - layout::tag_leaf, at);
+    } else if (tag == layout::tag_box) {
+      wide ? read_box_node<8>(address, at) : read_box_node<4>(address, at);
+    } else if (tag == layout::tag_quantised) {
+      sources_[at.source].quantised = true;
+      wide ? read_quantised_node<8>(address, at) : read_quantised_node<4>(address, at);
+    } else {
+      throw Doubt("a node has the unknown tag " + std::to_string(tag));
+    }
+  }
+
+  template <int width>
+  void read_box_node(std::uint64_t address, const Pending& at) {
+    const auto node = read<layout::BoxNode<width>>(memory_, Object::node, address);
+    Bounds boxes[width];
+    for (int child = 0; child < width; child++) {
+      for (int axis = 0; axis < 3; axis++) {
+        boxes[child].lower[axis] = node.bounds[axis][0][child];
+        boxes[child].upper[axis] = node.bounds[axis][1][child];
+      }
+    }
+    add_children<width>(node.children, boxes, at);
+  }
+
+  // Embree computes start + scale * number with one rounding on CPUs with FMA and with two on others: the box is around both.
+  // Rounding lets it stand out of its parent by a few ulps, and a scale is at least 2 FLT_MIN; what it holds does not stand
+  // out, so the parent's box may clip it.
+  template <int width>
+  void read_quantised_node(std::uint64_t address, const Pending& at) {
+    const auto node = read<layout::QuantisedNode<width>>(memory_, Object::node, address);
+    const Bounds parent = tree_.bounds(at.node);
+    constexpr float rounding = 8 * std::numeric_limits<float>::epsilon();
+    constexpr float least = 256 * 2 * std::numeric_limits<float>::min();
+    Bounds boxes[width];
+    for (int child = 0; child < width; child++) {
+      if (node.children[child] == layout::nothing) continue;
+      for (int axis = 0; axis < 3; axis++) {
+        const float start = node.start[axis];
+        const float scale = node.scale[axis];
+        const float lower = node.bounds[axis][0][child];
+        const float upper = node.bounds[axis][1][child];
+        float low = std::min(std::fma(scale, lower, start), scale * lower + start);
+        float high = std::max(std::fma(scale, upper, start), scale * upper + start);
+        const float slack = rounding * std::max(std::fabs(parent.lower[axis]), std::fabs(parent.upper[axis])) + least;
+        if (low < parent.lower[axis] && parent.lower[axis] - low <= slack) low = parent.lower[axis];
+        if (high > parent.upper[axis] && high - parent.upper[axis] <= slack) high = parent.upper[axis];
+        boxes[child].lower[axis] = low;
+        boxes[child].upper[axis] = high;
+      }
+    }
+    add_children<width>(node.children, boxes, at);
+  }
+
+  // Checks the children's boxes, and lines them up to be followed, first child first.
+  template <int width>
+  void add_children(const std::uint64_t (&references)[width], const Bounds (&boxes)[width], const Pending& at) {
+    const Bounds parent = tree_.bounds(at.node);
+    std::uint32_t count = 0;
+    int kept[width];
+    for (int child = 0; child < width; child++) {
+      if (references[child] == layout::nothing) continue;
+      if (!boxes[child].is_proper()) throw Doubt("a node's box is inverted");
+      if (!parent.contains(boxes[child])) throw Doubt("a node's box is not inside its parent's");
+      kept[count++] = child;
+    }
+    if (count == 0) throw Doubt("an inner node has no children");
+    // Each node leads to a leaf with at least one primitive: more nodes than this only a wrong path can find.
+    if (tree_.nodes.size() + count > 2 * most_references_ + 2 * layout::max_depth) {
+      throw Doubt("a BVH has more nodes than its primitives need");
+    }
+    const std::uint32_t first = tree_.make_inner(at.node, count);
+    for (std::uint32_t index = count; index-- > 0;) {
+      tree_.set_bounds(first + index, boxes[kept[index]]);
+      pending_.push_back({references[kept[index]], first + index, at.depth + 1, at.source});
+    }
+  }
+
+  void read_leaf(std::uint64_t address, std::uint64_t count, const Pending& at) {
+    const Block& block = *sources_[at.source].block;
+    unsigned char bytes[layout::max_leaf_bytes];
+    memory_.read(Object::leaf, address, bytes, count * block.bytes);
+    tree_.make_leaf(at.node);
+    for (std::uint64_t index = 0; index < count; index++) {
+      std::uint32_t numbers[2][layout::block_lanes];
+      std::memcpy(numbers, bytes + index * block.bytes + block.geometry, sizeof numbers);
+      for (std::size_t lane = 0; lane < layout::block_lanes; lane++) {
+        if (numbers[1][lane] != layout::no_primitive) add_face(block, numbers[0][lane], numbers[1][lane], at.node);
+      }
+    }
+    if (tree_.nodes[at.node].count == leaf_bit) throw Doubt("a leaf is empty");
+  }
+
+  // Adds a face of a leaf: one triangle, or the two of a quad. The leaf's box contains them; where spatial splits have
+  // clipped it, they overlap.
+  void add_face(const Block& block, std::uint32_t geometry, std::uint32_t face, std::uint32_t node) {
+    if (geometry >= scene_.parts().size()) throw Doubt("a leaf names a geometry that does not exist");
+    const Part& part = scene_.parts()[geometry];
+    if (part.corners != block.corners) throw Doubt("a leaf names a geometry of another kind");
+    if (face >= part.faces) throw Doubt("a leaf names a primitive that does not exist");
+    if (!scene_.keeps(part, face)) throw Doubt("a leaf names a primitive that Embree cannot have kept");
+    if (++references_ > most_references_) throw Doubt("the leaves name more primitives than were attached");
+    const std::uint32_t triangle = part.first_triangle + part.triangles_per_face() * face;
+    if (seen_[triangle]) {
+      if (scene_.quality() != RTC_BUILD_QUALITY_HIGH) throw Doubt("a primitive stands in two leaves without spatial splits");
+      tree_.splits = true;
+    } else {
+      seen_[triangle] = true;
+      distinct_++;
+    }
+    // Of a quad that spatial splits have cut, one triangle may lie wholly outside of this leaf: then it is in others.
+    const Bounds box = tree_.bounds(node);
+    std::uint32_t added = 0;
+    for (std::uint32_t half = 0; half < part.triangles_per_face(); half++) {
+      const Bounds bounds = triangle_bounds(scene_, part, face, half);
+      if (!box.contains(bounds)) {
+        if (scene_.quality() != RTC_BUILD_QUALITY_HIGH) throw Doubt("a leaf's box does not contain its primitives");
+        tree_.splits = true;
+        if (!box.overlaps(bounds)) continue;
+      }
+      tree_.add_primitive(node, triangle + half);
+      added++;
+    }
+    if (added == 0) throw Doubt("a leaf's box is away from its primitives");
+  }
+
+  void check_primitives() const {
+    if (distinct_ != expected_) {
+      throw Doubt("the leaves hold " + std::to_string(distinct_) + " primitives, and " + std::to_string(expected_) +
+                  " were attached");
+    }
+  }
+
+  // "embree 3.13.5 avx2 BVH8<triangle4>", or "… BVH8<triangle4,quad4v>".
+  void name_producer() {
+    tree_.producer = library_name(version_);
+    std::string open;
+    for (const Source& source : sources_) {
+      const std::string structure = (source.quantised ? "QBVH" : "BVH") + std::to_string(source.width);
+      if (open.empty()) {
+        tree_.producer += " " + source.isa + " " + structure + "<";
+      } else {
+        tree_.producer += structure == open ? "," : ">," + structure + "<";
+      }
+      tree_.producer += source.block->name;
+      open = structure;
+    }
+    if (!open.empty()) tree_.producer += ">";
+    // The header of a .bvh has room for 48 bytes; only two structures with long names need more.
+    constexpr std::size_t room = 48;
+    if (tree_.producer.size() > room) tree_.producer.resize(room);
+  }
+
+  const Scene& scene_;
+  Memory& memory_;
+  std::uint32_t version_;
+  Image image_;
+  Bounds scene_bounds_ = Bounds::empty();
+  std::vector<Source> sources_;
+  std::vector<Pending> pending_;
+  std::vector<bool> seen_;  // by a face's first triangle
+  std::uint64_t expected_ = 0;
+  std::uint64_t most_references_ = 0;
+  std::uint64_t references_ = 0;
+  std::uint64_t distinct_ = 0;
+  Tree tree_;
+};
+
+}  // namespace
+
+Tree read_live_tree(const Scene& scene, const ShimFault* fault) {
+  auto version =
+      static_cast<std::uint32_t>(rtcGetDeviceProperty(scene.device().get(), RTC_DEVICE_PROPERTY_VERSION));
+  Image image = find_image();
+  ProcessMemory memory;
+  if (fault == nullptr) return Reader(scene, memory, version, std::move(image)).read_tree();
+  if (fault->version != 0) version = fault->version;
+  if (fault->no_image != 0) image = Image();
+  FaultyMemory faulty(memory, *fault);
+  return Reader(scene, faulty, version, std::move(image)).read_tree();
+}
+
+}  // namespace shim

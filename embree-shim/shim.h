@@ -1,0 +1,188 @@
+/* The whole C ABI between the shim (C++, everything that touches Embree) and the crate: plain structs, no exceptions.
+ * bindgen reads this file and nothing else. A function that can fail returns null or non-zero and fills a ShimError.
+ * Data flows: ShimPart* -> ShimScene -> ShimIntersector <- ShimQuery; answers come back in ShimHit, and, from a
+ * recording intersector, in batches of ShimRecord through a ShimSink. ShimTree carries a tree out. */
+#ifndef EMBREE_TRACE_SHIM_H
+#define EMBREE_TRACE_SHIM_H
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* What went wrong. `code` is Embree's RTCError (0 = none); `message` is one line, zero terminated. */
+typedef struct ShimError {
+  int32_t code;
+  char message[508];
+} ShimError;
+
+enum { SHIM_QUALITY_LOW = 0, SHIM_QUALITY_MEDIUM = 1, SHIM_QUALITY_HIGH = 2 };
+enum { SHIM_SCENE_ROBUST = 1, SHIM_SCENE_COMPACT = 2 };
+
+typedef struct ShimSettings {
+  const char* device; /* configuration string of rtcNewDevice */
+  uint32_t quality;   /* SHIM_QUALITY_* */
+  uint32_t flags;     /* SHIM_SCENE_* */
+} ShimSettings;
+
+/* One geometry; part i is geomID i. The arrays are copied. */
+typedef struct ShimPart {
+  const uint32_t* indices; /* faces * corners vertex indices, all in range */
+  uint64_t faces;
+  uint32_t corners; /* 3 triangles, 4 quads */
+  uint32_t mask;
+} ShimPart;
+
+typedef struct ShimScene ShimScene;
+typedef struct ShimIntersector ShimIntersector;
+
+/* A query: Rust's `embree::Query`, field by field. */
+typedef struct ShimQuery {
+  float origin[3];
+  float tnear;
+  float direction[3];
+  float tfar;
+  float time;
+  uint32_t mask;
+  uint32_t path;
+  uint8_t depth;
+  uint8_t purpose;
+  uint8_t coherent;
+  uint8_t unused;
+} ShimQuery;
+
+/* The answer to a closest-hit query that hit: Rust's `embree::Hit`, field by field. */
+typedef struct ShimHit {
+  float t;
+  uint32_t triangle; /* index into TRIS */
+  uint32_t part;
+  float u;
+  float v;
+  float normal[3]; /* geometric, not normalised */
+} ShimHit;
+
+enum { SHIM_MISS = 0, SHIM_HIT = 1, SHIM_REFUSED = 2 };
+
+/* Rust's `format::rays::Record`, byte for byte (64 bytes). */
+typedef struct ShimRecord {
+  float origin[3];
+  float tnear;
+  float direction[3];
+  float tfar;
+  float time;
+  uint32_t mask;
+  float t;
+  uint32_t triangle;
+  float u;
+  float v;
+  uint32_t path;
+  uint8_t kind;
+  uint8_t depth;
+  uint8_t flags;
+  uint8_t purpose;
+} ShimRecord;
+
+/* Rust's `tree::Node`, byte for byte (32 bytes). */
+typedef struct ShimNode {
+  float lower[3];
+  uint32_t first;
+  float upper[3];
+  uint32_t count;
+} ShimNode;
+
+/* A tree with everything it needs; made and freed by the shim. */
+typedef struct ShimTree {
+  const ShimNode* nodes;
+  uint64_t node_count;
+  const uint32_t* primitives;
+  uint64_t primitive_count;
+  uint32_t splits;   /* whether a triangle may stand in several leaves */
+  char producer[60]; /* zero terminated */
+} ShimTree;
+
+/* The objects of Embree's that the live tree is read from. */
+enum {
+  SHIM_OBJECT_SCENE = 0,
+  SHIM_OBJECT_ACCEL_LIST = 1,
+  SHIM_OBJECT_ACCEL = 2,
+  SHIM_OBJECT_BVH = 3,
+  SHIM_OBJECT_VTABLE = 4,
+  SHIM_OBJECT_CODE = 5,
+  SHIM_OBJECT_TEXT = 6,
+  SHIM_OBJECT_NODE = 7,
+  SHIM_OBJECT_LEAF = 8
+};
+
+/* For tests of the checks: another version (0 = the true one), no libembree3, or wrong bytes in the nth read of a kind of
+ * object: byte = (byte & keep) ^ flip, `length` of them from `offset`. Memory itself is never written. */
+typedef struct ShimFault {
+  uint32_t version;
+  uint32_t no_image;
+  uint32_t object;
+  uint32_t offset;
+  uint64_t nth;
+  uint32_t length;
+  uint8_t keep[16];
+  uint8_t flip[16];
+} ShimFault;
+
+/* Code of a ShimError: a check of the live tree did not hold; the message says which. */
+enum { SHIM_DOUBT = 1000 };
+
+/* Takes a batch of the calling thread's records; non-zero stops the recording (the disk is full, say). */
+typedef uint32_t (*ShimBatch)(void* user, const ShimRecord* records, uint64_t count);
+
+typedef struct ShimSink {
+  ShimBatch batch;
+  void* user;
+} ShimSink;
+
+/* Records that a batch holds; only the last of an intersector, or one before a flush, is smaller. */
+enum { SHIM_BATCH_RECORDS = 1024 };
+
+/* RTC_DEVICE_PROPERTY_VERSION of the library that is linked, such as 31305; 0 when no device can be made. */
+uint32_t shim_version(void);
+
+/* Builds and commits a scene; null on failure. */
+ShimScene* shim_scene_new(const ShimSettings* settings, const float* vertices, uint64_t vertex_count,
+                          const ShimPart* parts, uint32_t part_count, ShimError* error);
+void shim_scene_free(ShimScene* scene);
+/* lower x y z, upper x y z; +inf and -inf for an empty scene. */
+void shim_scene_bounds(const ShimScene* scene, float bounds[6]);
+uint64_t shim_scene_triangle_count(const ShimScene* scene);
+/* Writes 9 floats a triangle, in the order of TRIS. What Embree drops (a coordinate that is NaN, or of magnitude 1.844e18
+ * and more; for a quad: in any of its four vertices) gets NaN in all nine when it would be finite otherwise.
+ * Returns how many finite triangles were replaced so. */
+uint64_t shim_scene_triangles(const ShimScene* scene, float* triangles);
+
+/* Embree's own tree, read from its memory; `fault` is null but in tests. Null, with SHIM_DOUBT, when a check fails. */
+ShimTree* shim_tree_live(const ShimScene* scene, const ShimFault* fault, ShimError* error);
+/* The binary tree of rtcBuildBVH. */
+ShimTree* shim_tree_built(const ShimScene* scene, ShimError* error);
+void shim_tree_free(ShimTree* tree);
+
+/* An intersector asks `scene`, which must outlive it; it is for one thread at a time. Null on failure. */
+ShimIntersector* shim_intersector_new(const ShimScene* scene, ShimError* error);
+/* Decorates `inner` and owns it from then on, also on failure. */
+ShimIntersector* shim_recording_new(ShimIntersector* inner, ShimSink sink, ShimError* error);
+/* Passes on what is not yet, then frees. */
+void shim_intersector_free(ShimIntersector* intersector);
+
+/* SHIM_MISS, SHIM_HIT (then *hit is filled) or SHIM_REFUSED. */
+uint32_t shim_closest_hit(ShimIntersector* intersector, const ShimQuery* query, ShimHit* hit);
+uint32_t shim_occluded(ShimIntersector* intersector, const ShimQuery* query);
+/* `width` is 4, 8 or 16: that many queries, hits and outcomes. */
+void shim_closest_hits(ShimIntersector* intersector, const ShimQuery* queries, uint32_t width, ShimHit* hits,
+                       uint32_t* outcomes);
+void shim_occluded_packet(ShimIntersector* intersector, const ShimQuery* queries, uint32_t width, uint32_t* outcomes);
+/* Passes an incomplete batch on. Non-zero once the sink has stopped the recording. */
+uint32_t shim_flush(ShimIntersector* intersector);
+/* Queries refused so far because they would abort Embree. */
+uint64_t shim_refused(const ShimIntersector* intersector);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,139 @@
+//! How Embree is set up: what was asked for becomes a device configuration, or an error before Embree sees it.
+
+use super::{EmbreeError, ffi};
+use std::ffi::CString;
+use std::fmt;
+
+/// Instruction sets that Embree has kernels for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Isa {
+    Sse2,
+    /// Gives the same tree and the same results on every x86-64 CPU: golden files are made with it.
+    Sse42,
+    Avx,
+    Avx2,
+    Avx512,
+}
+
+impl Isa {
+    pub const ALL: [Isa; 5] = [Isa::Sse2, Isa::Sse42, Isa::Avx, Isa::Avx2, Isa::Avx512];
+
+    /// The name in options and in Embree's configuration.
+    pub fn name(self) -> &'static str {
+        match self {
+            Isa::Sse2 => "sse2",
+            Isa::Sse42 => "sse42",
+            Isa::Avx => "avx",
+            Isa::Avx2 => "avx2",
+            Isa::Avx512 => "avx512",
+        }
+    }
+
+    pub fn from_name(name: &str) -> Option<Isa> {
+        Isa::ALL.into_iter().find(|isa| isa.name() == name)
+    }
+}
+
+impl fmt::Display for Isa {
+    fn fmt(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
+        formatter.write_str(self.name())
+    }
+}
+
+/// How much time Embree spends on its tree.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Quality {
+    Low,
+    #[default]
+    Medium,
+    /// Spatial splits, unless a scene is robust or compact.
+    High,
+}
+
+impl Quality {
+    pub const ALL: [Quality; 3] = [Quality::Low, Quality::Medium, Quality::High];
+
+    /// The name in options.
+    pub fn name(self) -> &'static str {
+        match self {
+            Quality::Low => "low",
+            Quality::Medium => "medium",
+            Quality::High => "high",
+        }
+    }
+
+    pub fn from_name(name: &str) -> Option<Quality> {
+        Quality::ALL.into_iter().find(|quality| quality.name() == name)
+    }
+
+    pub(super) fn shim_value(self) -> u32 {
+        match self {
+            Quality::Low => ffi::SHIM_QUALITY_LOW,
+            Quality::Medium => ffi::SHIM_QUALITY_MEDIUM,
+            Quality::High => ffi::SHIM_QUALITY_HIGH,
+        }
+    }
+}
+
+/// The triangle structures that Embree 3.13 can be told to build; those with an 8 need AVX.
+pub const TRI_ACCELS: [&str; 9] = [
+    "bvh4.triangle4",
+    "bvh4.triangle4v",
+    "bvh4.triangle4i",
+    "qbvh4.triangle4i",
+    "bvh8.triangle4",
+    "bvh8.triangle4v",
+    "bvh8.triangle4i",
+    "qbvh8.triangle4i",
+    "qbvh8.triangle4",
+];
+
+/// How a scene is built and traced. The default is Embree's own.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Settings {
+    /// The CPU's best when `None`.
+    pub isa: Option<Isa>,
+    /// Threads that build; 0 = all. The tree does not depend on it.
+    pub threads: usize,
+    pub quality: Quality,
+    /// Watertight: edges of neighbouring triangles lose no ray.
+    pub robust: bool,
+    /// Less memory.
+    pub compact: bool,
+    /// One of [`TRI_ACCELS`]; Embree's choice when `None`.
+    pub tri_accel: Option<String>,
+}
+
+impl Settings {
+    /// What `rtcNewDevice` takes. Embree ignores what it does not know, so everything is checked here.
+    pub(super) fn device_config(&self) -> Result<CString, EmbreeError> {
+        let mut config = Vec::new();
+        if let Some(isa) = self.isa {
+            config.push(format!("isa={isa}"));
+        }
+        if self.threads > 0 {
+            // More would only be idle; Embree allocates for each.
+            config.push(format!("threads={}", self.threads.min(1024)));
+        }
+        if let Some(name) = &self.tri_accel {
+            if !TRI_ACCELS.contains(&name.as_str()) {
+                return Err(EmbreeError::Setting(format!(
+                    "unknown triangle structure {name:?}; Embree has {}",
+                    TRI_ACCELS.join(", ")
+                )));
+            }
+            if name.contains("bvh8") && self.isa.is_some_and(|isa| isa < Isa::Avx) {
+                return Err(EmbreeError::Setting(format!(
+                    "the triangle structure {name} is 8 wide and needs the instruction set avx or better"
+                )));
+            }
+            config.push(format!("tri_accel={name}"));
+        }
+        CString::new(config.join(",")).map_err(|error| EmbreeError::Setting(error.to_string()))
+    }
+
+    pub(super) fn shim_flags(&self) -> u32 {
+        (if self.robust { ffi::SHIM_SCENE_ROBUST } else { 0 })
+            | (if self.compact { ffi::SHIM_SCENE_COMPACT } else { 0 })
+    }
+}

@@ -1,0 +1,169 @@
+//! A pinhole camera: where it stands ([`View`]) and which ray belongs to a point of the image ([`Camera`]).
+
+use crate::geometry::{Ray, Vec3};
+use thiserror::Error;
+
+/// Where a camera stands and looks, in world space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View {
+    pub eye: Vec3,
+    pub target: Vec3,
+    /// Any vector that points up in the image; need not be perpendicular to the line of sight.
+    pub up: Vec3,
+    /// Angle between the upper and the lower edge of the image, in degrees.
+    pub fov_degrees: f32,
+}
+
+/// Why a camera cannot be used.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum CameraError {
+    #[error("camera `{0}`: expected EYE/TARGET or EYE/TARGET/UP, each as X,Y,Z with finite numbers")]
+    Syntax(String),
+    #[error("camera: eye, target and up must be finite and below 1e15")]
+    Range,
+    #[error("camera: eye and target are the same point")]
+    NoDirection,
+    #[error("camera: up is zero or points along the line of sight; give another as the third triple")]
+    NoUp,
+    #[error("field of view {0}: expected degrees, at least 0.01 and at most 175")]
+    FieldOfView(f32),
+}
+
+/// Eye, target and, when it was given, up of `x,y,z/x,y,z[/x,y,z]`.
+///
+/// # Errors
+/// [`CameraError::Syntax`] for anything else, not-a-numbers and infinities included.
+pub fn parse_view(text: &str) -> Result<(Vec3, Vec3, Option<Vec3>), CameraError> {
+    let syntax = || CameraError::Syntax(text.to_owned());
+    let mut triples = Vec::with_capacity(3);
+    for triple in text.split('/') {
+        let mut numbers = triple.split(',').map(|n| n.trim().parse::<f32>().ok().filter(|n| n.is_finite()));
+        let mut next = || numbers.next().flatten().ok_or_else(syntax);
+        triples.push(Vec3::new(next()?, next()?, next()?));
+        if numbers.next().is_some() {
+            return Err(syntax());
+        }
+    }
+    match triples[..] {
+        [eye, target] => Ok((eye, target, None)),
+        [eye, target, up] => Ok((eye, target, Some(up))),
+        _ => Err(syntax()),
+    }
+}
+
+/// A view of an image of a certain size. Pixel (0, 0) is the upper left one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    pub eye: Vec3,
+    pub forward: Vec3,
+    /// Half the image plane at distance 1, to the right and down.
+    right: Vec3,
+    down: Vec3,
+    width: f32,
+    height: f32,
+}
+
+impl Camera {
+    /// # Errors
+    /// When the view has no direction, no up, or numbers that no ray can be made of.
+    pub fn new(view: &View, width: u32, height: u32) -> Result<Camera, CameraError> {
+        if ![view.eye, view.target, view.up].iter().all(|v| v.is_finite() && v.abs().max_element() < 1e15) {
+            return Err(CameraError::Range);
+        }
+        if !(0.01..=175.0).contains(&view.fov_degrees) {
+            return Err(CameraError::FieldOfView(view.fov_degrees));
+        }
+        // In double precision: eye and target may be near each other and far from the origin.
+        let sight = view.target.as_dvec3() - view.eye.as_dvec3();
+        let forward = sight.try_normalize().ok_or(CameraError::NoDirection)?;
+        let up = view.up.as_dvec3().try_normalize().ok_or(CameraError::NoUp)?;
+        let side = forward.cross(up);
+        if side.length() < 1e-6 {
+            return Err(CameraError::NoUp);
+        }
+        let side = side.normalize();
+        let half_height = (f64::from(view.fov_degrees).to_radians() / 2.0).tan();
+        let half_width = half_height * f64::from(width) / f64::from(height);
+        Ok(Camera {
+            eye: view.eye,
+            forward: forward.as_vec3(),
+            right: (side * half_width).as_vec3(),
+            down: (forward.cross(side) * half_height).as_vec3(),
+            width: width as f32,
+            height: height as f32,
+        })
+    }
+
+    /// The ray through the point (`x`, `y`) of the image, in pixels from its upper left corner. Its direction has length 1.
+    #[inline]
+    pub fn ray(&self, x: f32, y: f32) -> Ray {
+        let across = 2.0 * x / self.width - 1.0;
+        let down = 2.0 * y / self.height - 1.0;
+        let direction = (self.forward + across * self.right + down * self.down).normalize();
+        Ray { origin: self.eye, tnear: 0.0, direction, tfar: f32::INFINITY }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn view() -> View {
+        View { eye: Vec3::new(0.0, 0.0, 5.0), target: Vec3::ZERO, up: Vec3::Y, fov_degrees: 90.0 }
+    }
+
+    fn close(a: Vec3, b: Vec3) -> bool {
+        (a - b).length() < 1e-6
+    }
+
+    #[test]
+    fn corners_and_centre() {
+        let camera = Camera::new(&view(), 200, 100).unwrap();
+        let centre = camera.ray(100.0, 50.0);
+        assert!(close(centre.direction, Vec3::NEG_Z) && centre.origin == view().eye);
+        // 90 degrees over the height: the upper edge rises as much as it goes forward; the image is twice as wide.
+        assert!(close(camera.ray(100.0, 0.0).direction, Vec3::new(0.0, 1.0, -1.0).normalize()));
+        assert!(close(camera.ray(0.0, 0.0).direction, Vec3::new(-2.0, 1.0, -1.0).normalize()));
+        assert!(close(camera.ray(200.0, 100.0).direction, Vec3::new(2.0, -1.0, -1.0).normalize()));
+    }
+
+    #[test]
+    fn up_need_not_be_perpendicular() {
+        let tilted = View { up: Vec3::new(0.0, 1.0, 3.0), ..view() };
+        assert_eq!(Camera::new(&tilted, 64, 64).unwrap(), Camera::new(&view(), 64, 64).unwrap());
+        let z_up = View { eye: Vec3::new(0.0, -5.0, 0.0), up: Vec3::Z, ..view() };
+        let camera = Camera::new(&z_up, 64, 64).unwrap();
+        assert!(close(camera.ray(64.0, 32.0).direction, Vec3::new(1.0, 1.0, 0.0).normalize()));
+    }
+
+    #[test]
+    fn what_cannot_be_a_camera() {
+        let bad = |view: View| Camera::new(&view, 8, 8).unwrap_err();
+        assert_eq!(bad(View { target: view().eye, ..view() }), CameraError::NoDirection);
+        assert_eq!(bad(View { up: Vec3::Z, ..view() }), CameraError::NoUp);
+        assert_eq!(bad(View { up: Vec3::ZERO, ..view() }), CameraError::NoUp);
+        assert_eq!(bad(View { eye: Vec3::splat(f32::NAN), ..view() }), CameraError::Range);
+        assert_eq!(bad(View { eye: Vec3::splat(1e20), ..view() }), CameraError::Range);
+        assert_eq!(bad(View { fov_degrees: 180.0, ..view() }), CameraError::FieldOfView(180.0));
+        assert!(matches!(bad(View { fov_degrees: f32::NAN, ..view() }), CameraError::FieldOfView(_)));
+    }
+
+    #[test]
+    fn views_are_read() {
+        let (x, y) = (Vec3::new(1.0, -2.5, 3e2), Vec3::new(0.0, 0.0, 1.0));
+        assert_eq!(parse_view("1,-2.5,3e2/0,0,1"), Ok((x, y, None)));
+        assert_eq!(parse_view("1, -2.5, 300 / 0,0,1 / 0,0,1"), Ok((x, y, Some(y))));
+        for bad in [
+            "",
+            "1,2,3",
+            "1,2/3,4,5",
+            "1,2,3,4/5,6,7",
+            "nan,0,0/1,1,1",
+            "0,0,0/inf,1,1",
+            "1,2,3/4,5,6/7,8,9/1,2,3",
+            "a,b,c/d,e,f",
+        ] {
+            assert_eq!(parse_view(bad), Err(CameraError::Syntax(bad.to_owned())));
+        }
+    }
+}

@@ -1,0 +1,221 @@
+//! Path tracing with next event estimation (Kajiya 1986; Veach and Guibas 1995 for the weights).
+//!
+//! At every surface one shadow ray goes to a light, and one ray goes on: a mirror reflection or a diffuse one, by their
+//! reflectances. Light that either way can find is weighed by the balance heuristic. There is no Russian roulette: a path ends at its
+//! depth, in the open, or on black.
+//!
+//! A packet's paths walk in step, so that their camera rays and their first shadow rays can be asked together; paths of
+//! one go the same way, query by query.
+
+use crate::embree::{Hit, Query};
+use crate::format::rays::Purpose;
+use crate::geometry::{Ray, Vec3};
+use crate::render::queries::{MAX_PACKET, RayQueries, query};
+use crate::render::scenery::Scenery;
+use crate::render::surface::Surface;
+use crate::render::tiles::{PixelSample, first_dimension};
+use std::f32::consts::PI;
+
+/// Shadow rays end this share of the way before the light, so as not to meet it.
+pub(super) const BEFORE_LIGHT: f32 = 1.0 - 1.0 / 8192.0;
+
+/// A path under way.
+#[derive(Clone, Copy)]
+struct Walk {
+    alive: bool,
+    ray: Ray,
+    hit: Option<Hit>,
+    throughput: Vec3,
+    /// Density per solid angle with which the ray's direction was chosen; infinite for camera and mirror rays.
+    density: f32,
+}
+
+/// Radiance along the samples' camera rays; `radiance` has one element a sample.
+pub fn trace<Q: RayQueries>(
+    scenery: &Scenery,
+    max_depth: u8,
+    samples: &[PixelSample],
+    queries: &mut Q,
+    radiance: &mut [Vec3],
+) {
+    let count = samples.len().min(MAX_PACKET);
+    let mut walks = camera_walks(scenery, samples, queries);
+    let walks = &mut walks[..count];
+    for (walk, radiance) in walks.iter_mut().zip(radiance.iter_mut()) {
+        *radiance = arrive(scenery, walk);
+    }
+    for depth in 1..=max_depth {
+        if !walks.iter().any(|walk| walk.alive) {
+            break;
+        }
+        // What a shadow ray would bring, and who asks.
+        let mut shadows = [UNASKED; MAX_PACKET];
+        let mut brings = [(0, Vec3::ZERO); MAX_PACKET];
+        let mut asked = 0;
+        for (index, walk) in walks.iter_mut().enumerate() {
+            let Some(hit) = walk.hit.filter(|_| walk.alive) else { continue };
+            let surface = Surface::new(&walk.ray, &hit);
+            if let Some((ray, light)) = light_ray(scenery, &samples[index], walk, &surface, &hit, depth) {
+                shadows[asked] = query(ray, samples[index].path, depth, Purpose::Shadow);
+                brings[asked] = (index, light);
+                asked += 1;
+            }
+        }
+        let mut occluded = [false; MAX_PACKET];
+        if asked > 1 && depth == 1 {
+            queries.occluded_packet(&shadows[..asked], &mut occluded[..asked]);
+        } else {
+            for (query, occluded) in shadows[..asked].iter().zip(&mut occluded) {
+                *occluded = queries.occluded(query);
+            }
+        }
+        for (&(index, light), _) in brings[..asked].iter().zip(&occluded).filter(|(_, occluded)| !**occluded)
+        {
+            radiance[index] += light;
+        }
+        for (index, walk) in walks.iter_mut().enumerate().filter(|(_, walk)| walk.alive) {
+            let purpose = bounce(scenery, &samples[index], walk, depth);
+            if walk.alive {
+                walk.hit = queries.closest_hit(&query(walk.ray, samples[index].path, depth, purpose));
+                radiance[index] += arrive(scenery, walk);
+            }
+        }
+    }
+    for radiance in radiance {
+        if !radiance.is_finite() {
+            *radiance = Vec3::ZERO;
+        }
+    }
+}
+
+const UNASKED: Query = Query {
+    ray: Ray { origin: Vec3::ZERO, tnear: 0.0, direction: Vec3::ZERO, tfar: 0.0 },
+    time: 0.0,
+    mask: 0,
+    path: 0,
+    depth: 0,
+    purpose: Purpose::Unknown,
+    coherent: false,
+};
+
+/// Asks the camera rays, together when there are several.
+fn camera_walks<Q: RayQueries>(
+    scenery: &Scenery,
+    samples: &[PixelSample],
+    queries: &mut Q,
+) -> [Walk; MAX_PACKET] {
+    let ray = UNASKED.ray;
+    let mut walks =
+        [Walk { alive: true, ray, hit: None, throughput: Vec3::ONE, density: f32::INFINITY }; MAX_PACKET];
+    let mut hits = [None; MAX_PACKET];
+    camera_hits(scenery, samples, queries, &mut hits, |index, ray| walks[index].ray = ray);
+    for (walk, hit) in walks.iter_mut().zip(hits) {
+        walk.hit = hit;
+    }
+    walks
+}
+
+/// The camera rays of a group and what they hit: one packet, or a single query.
+pub(super) fn camera_hits<Q: RayQueries>(
+    scenery: &Scenery,
+    samples: &[PixelSample],
+    queries: &mut Q,
+    hits: &mut [Option<Hit>; MAX_PACKET],
+    mut keep: impl FnMut(usize, Ray),
+) {
+    let mut asked = [UNASKED; MAX_PACKET];
+    let count = samples.len().min(MAX_PACKET);
+    for (index, sample) in samples[..count].iter().enumerate() {
+        let ray = scenery.camera.ray(sample.x, sample.y);
+        keep(index, ray);
+        asked[index] = query(ray, sample.path, 0, Purpose::Camera);
+    }
+    if count == 1 {
+        hits[0] = queries.closest_hit(&asked[0]);
+    } else {
+        queries.closest_hits(&asked[..count], &mut hits[..count]);
+    }
+}
+
+/// Light that the ray of a walk brings by itself: the background's, or what the surface that it hit emits. Ends the
+/// walk where nothing scatters.
+fn arrive(scenery: &Scenery, walk: &mut Walk) -> Vec3 {
+    let Some(hit) = walk.hit else {
+        walk.alive = false;
+        return walk.throughput * scenery.lights.background(walk.ray.direction);
+    };
+    let appearance = scenery.appearance(&hit);
+    walk.alive = appearance.scatters();
+    if appearance.emission == Vec3::ZERO {
+        return Vec3::ZERO;
+    }
+    let mut weight = 1.0;
+    if walk.density.is_finite() {
+        // Directions have length 1, so t is the distance.
+        let cosine = hit.normal.normalize_or_zero().dot(walk.ray.direction).abs();
+        let by_light = scenery.lights.emitter_density(appearance.emission, hit.t, cosine);
+        weight = walk.density / (walk.density + by_light);
+    }
+    walk.throughput * appearance.emission * weight
+}
+
+/// The shadow ray of a surface, and the light that arrives if nothing is in its way.
+fn light_ray(
+    scenery: &Scenery,
+    sample: &PixelSample,
+    walk: &Walk,
+    surface: &Surface,
+    hit: &Hit,
+    depth: u8,
+) -> Option<(Ray, Vec3)> {
+    let appearance = scenery.appearance(hit);
+    if appearance.diffuse == Vec3::ZERO {
+        return None;
+    }
+    let dimension = first_dimension(depth);
+    let light = scenery.lights.sample(
+        surface.origin,
+        sample.sampler.single(dimension),
+        sample.sampler.pair(dimension + 1),
+    )?;
+    let cosine = surface.normal.dot(light.direction);
+    if cosine <= 0.0 {
+        return None;
+    }
+    let by_bounce = if light.can_be_hit { (1.0 - appearance.specular_share) * cosine / PI } else { 0.0 };
+    let reflected = appearance.diffuse / PI * cosine;
+    let brings = walk.throughput * reflected * light.radiance / (light.density + by_bounce);
+    let ray = Ray {
+        origin: surface.origin,
+        tnear: 0.0,
+        direction: light.direction,
+        tfar: light.distance * BEFORE_LIGHT,
+    };
+    Some((ray, brings))
+}
+
+/// Sends a walk on from the surface that it hit.
+fn bounce(scenery: &Scenery, sample: &PixelSample, walk: &mut Walk, depth: u8) -> Purpose {
+    let Some(hit) = walk.hit else {
+        walk.alive = false;
+        return Purpose::Unknown;
+    };
+    let appearance = scenery.appearance(&hit);
+    let surface = Surface::new(&walk.ray, &hit);
+    let dimension = first_dimension(depth) + 2;
+    let share = appearance.specular_share;
+    let is_mirror = share > 0.0 && sample.sampler.single(dimension) < share;
+    let direction = if is_mirror {
+        walk.throughput *= appearance.specular / share;
+        walk.density = f32::INFINITY;
+        surface.mirror_direction(walk.ray.direction)
+    } else {
+        walk.throughput *= appearance.diffuse / (1.0 - share);
+        let direction = surface.cosine_direction(sample.sampler.pair(dimension + 1));
+        walk.density = (1.0 - share) * surface.normal.dot(direction).max(0.0) / PI;
+        direction
+    };
+    walk.alive = walk.throughput.max_element() > 0.0;
+    walk.ray = Ray { origin: surface.origin, tnear: 0.0, direction, tfar: f32::INFINITY };
+    if is_mirror { Purpose::Specular } else { Purpose::Diffuse }
+}

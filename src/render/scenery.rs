@@ -1,0 +1,95 @@
+//! What a job looks at: camera, lights, materials. Made once, then shared by all threads.
+
+use crate::embree::Hit;
+use crate::geometry::{Triangle, Vec3};
+use crate::mesh::Mesh;
+use crate::render::camera::{Camera, CameraError, View};
+use crate::render::framing::{Axes, Framing, guess_up, main_bounds, sky};
+use crate::render::lights::Lights;
+use crate::render::queries::RayQueries;
+use crate::render::surface::Appearance;
+
+/// Everything that integrators need beside the answers to their queries.
+#[derive(Clone, Debug)]
+pub struct Scenery {
+    pub view: View,
+    pub camera: Camera,
+    pub lights: Lights,
+    /// One per part of the mesh.
+    pub appearances: Vec<Appearance>,
+    /// How far ambient occlusion looks, in world units.
+    pub ao_distance: f32,
+}
+
+/// What was said about the camera; the rest is chosen so that the scene can be seen.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Wishes {
+    pub eye_and_target: Option<(Vec3, Vec3)>,
+    pub up: Option<Vec3>,
+    pub fov_degrees: Option<f32>,
+}
+
+impl Wishes {
+    /// Says early, before a large scene is read, that no camera can come of this.
+    ///
+    /// # Errors
+    /// As [`Camera::new`], for what was given.
+    pub fn check(&self) -> Result<(), CameraError> {
+        let fov_degrees = self.fov_degrees.unwrap_or(DEFAULT_FOV);
+        let (eye, target) = self.eye_and_target.unwrap_or((Vec3::ZERO, Vec3::ONE));
+        let sight = target - eye;
+        // Without an up of its own, one that is surely not along the line of sight: the real one is not known yet.
+        let up = self.up.unwrap_or_else(|| sight.any_orthogonal_vector());
+        Camera::new(&View { eye, target, up, fov_degrees }, 1, 1).map(|_| ())
+    }
+}
+
+/// Height of the image in degrees for a camera whose place was given.
+const DEFAULT_FOV: f32 = 60.0;
+/// Ambient occlusion looks this share of the scene's diagonal far.
+const AO_SHARE: f32 = 0.1;
+
+/// For a hit of a geometry that is no part of the mesh: it ends the path.
+const BLACK: Appearance =
+    Appearance { emission: Vec3::ZERO, diffuse: Vec3::ZERO, specular: Vec3::ZERO, specular_share: 0.0 };
+
+impl Scenery {
+    /// Chooses what the wishes leave open by asking the scene. `triangles` are the mesh's; the image is `width` × `height`.
+    ///
+    /// # Errors
+    /// When the wishes make no camera.
+    pub fn new<Q: RayQueries>(
+        mesh: &Mesh,
+        triangles: &[Triangle],
+        queries: &mut Q,
+        wishes: &Wishes,
+        [width, height]: [u32; 2],
+    ) -> Result<Scenery, CameraError> {
+        let bounds = main_bounds(triangles);
+        let up = wishes.up.filter(|up| up.is_finite() && *up != Vec3::ZERO);
+        let axes = up.map_or_else(|| guess_up(triangles, &bounds), Axes::with_up);
+        let mut framing = Framing::new(queries, triangles, bounds, axes);
+        let view = match wishes.eye_and_target {
+            Some((eye, target)) => View {
+                eye,
+                target,
+                up: wishes.up.unwrap_or(axes.up),
+                fov_degrees: wishes.fov_degrees.unwrap_or(DEFAULT_FOV),
+            },
+            None => framing.view(wishes.fov_degrees, width as f32 / height as f32),
+        };
+        let camera = Camera::new(&view, width, height)?;
+        let appearances = Appearance::of_parts(mesh);
+        let mut lights = Lights::from_emission(mesh, triangles, &appearances);
+        if !lights.has_emitters() {
+            lights = Lights::from_sky(sky(&axes, camera.forward), framing.panel(view.eye));
+        }
+        Ok(Scenery { view, camera, lights, appearances, ao_distance: AO_SHARE * bounds.extent().length() })
+    }
+
+    /// The look of what was hit.
+    #[inline]
+    pub fn appearance(&self, hit: &Hit) -> &Appearance {
+        self.appearances.get(hit.part as usize).unwrap_or(&BLACK)
+    }
+}

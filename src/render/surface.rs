@@ -1,0 +1,144 @@
+//! What a ray met: the point, the side it was met from, and how the surface scatters light.
+//!
+//! Materials are two-sided, as the winding of scene files cannot be trusted.
+
+use crate::embree::Hit;
+use crate::geometry::{Ray, Vec3};
+use crate::mesh::{Material, Mesh};
+use crate::render::film::luminance;
+use std::f32::consts::TAU;
+
+/// A material as integrators use it: it never reflects more than it receives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Appearance {
+    /// Radiance that it emits, to both sides.
+    pub emission: Vec3,
+    pub diffuse: Vec3,
+    pub specular: Vec3,
+    /// How often a path goes on as a mirror reflection rather than a diffuse one.
+    pub specular_share: f32,
+}
+
+impl Appearance {
+    pub fn of(material: &Material) -> Appearance {
+        let clean =
+            |v: Vec3| Vec3::from_array(v.to_array().map(|c| if c.is_finite() { c.max(0.0) } else { 0.0 }));
+        let (diffuse, specular) = (clean(material.diffuse), clean(material.specular));
+        let scale = 1.0 / (diffuse + specular).max_element().max(1.0);
+        let (diffuse, specular) = (diffuse * scale, specular * scale);
+        let (d, s) = (luminance(diffuse), luminance(specular));
+        let specular_share = if s > 0.0 { s / (s + d) } else { 0.0 };
+        Appearance { emission: clean(material.emission), diffuse, specular, specular_share }
+    }
+
+    /// Whether a path can go on from here.
+    pub fn scatters(&self) -> bool {
+        self.diffuse != Vec3::ZERO || self.specular != Vec3::ZERO
+    }
+
+    /// One per part of the mesh, so that a hit's part finds it.
+    pub fn of_parts(mesh: &Mesh) -> Vec<Appearance> {
+        let grey = Material::default();
+        let material = |index: u32| mesh.materials.get(index as usize).unwrap_or(&grey);
+        mesh.parts.iter().map(|part| Appearance::of(material(part.material))).collect()
+    }
+}
+
+/// Where a ray met a surface.
+#[derive(Clone, Copy, Debug)]
+pub struct Surface {
+    /// On the surface, as nearly as rounding allows.
+    pub point: Vec3,
+    /// Length 1, towards the side that the ray came from.
+    pub normal: Vec3,
+    /// Where rays that leave on that side start: so far off the surface that they cannot meet it again.
+    pub origin: Vec3,
+}
+
+/// How far off a surface rays start, relative to the largest coordinate or distance involved. Rounding of the hit's t and
+/// of the point stays well below: 2^-24 each, times the few operations of the intersection test.
+const OFFSET: f32 = 1.0 / 65_536.0;
+
+impl Surface {
+    pub fn new(ray: &Ray, hit: &Hit) -> Surface {
+        let point = ray.at(hit.t);
+        // A sliver's normal can underflow; then any direction that leads back is as good.
+        let normal = hit.normal.try_normalize().unwrap_or(-ray.direction.normalize_or_zero());
+        let normal = if normal.dot(ray.direction) > 0.0 { -normal } else { normal };
+        let size = point.abs().max_element().max(hit.t * ray.direction.abs().max_element());
+        Surface { point, normal, origin: point + normal * (size * OFFSET) }
+    }
+
+    /// A direction on the side of the normal, with density cos/π (Malley's method, on concentric squares).
+    pub fn cosine_direction(&self, [u, v]: [f32; 2]) -> Vec3 {
+        let radius = u.sqrt();
+        let (sin, cos) = (TAU * v).sin_cos();
+        let (tangent, bitangent) = self.normal.any_orthonormal_pair();
+        // 1 - u is at least 2^-24: the direction never lies in the surface.
+        (tangent * (radius * cos) + bitangent * (radius * sin) + self.normal * (1.0 - u).sqrt()).normalize()
+    }
+
+    /// The mirror direction of an incoming direction.
+    pub fn mirror_direction(&self, incoming: Vec3) -> Vec3 {
+        (incoming - 2.0 * incoming.dot(self.normal) * self.normal).normalize()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn surface() -> (Ray, Surface) {
+        let ray = Ray {
+            origin: Vec3::new(3.0, 4.0, 100.0),
+            tnear: 0.0,
+            direction: Vec3::new(0.6, 0.0, -0.8),
+            tfar: f32::INFINITY,
+        };
+        let hit = Hit { t: 125.0, triangle: 0, part: 0, u: 0.0, v: 0.0, normal: Vec3::new(0.0, 0.0, -7.0) };
+        (ray, Surface::new(&ray, &hit))
+    }
+
+    #[test]
+    fn faces_the_ray_and_starts_off_the_surface() {
+        let (_, surface) = surface();
+        assert_eq!(surface.point, Vec3::new(78.0, 4.0, 0.0));
+        assert_eq!(surface.normal, Vec3::Z);
+        assert!(surface.origin.z > 1e-3 && surface.origin.z < 3e-3, "{}", surface.origin);
+    }
+
+    #[test]
+    fn cosine_directions_have_the_right_mean() {
+        // The mean of cos over the density cos/π is 2/3, of the tangential part 0.
+        let (_, surface) = surface();
+        let mut sum = glam::DVec3::ZERO;
+        let steps = 256;
+        for i in 0..steps * steps {
+            let [u, v] = [(i % steps) as f32 + 0.5, (i / steps) as f32 + 0.5].map(|x| x / steps as f32);
+            let direction = surface.cosine_direction([u, v]);
+            assert!(direction.dot(surface.normal) > 0.0 && (direction.length() - 1.0).abs() < 1e-5);
+            sum += direction.as_dvec3();
+        }
+        let mean = sum / f64::from(steps * steps);
+        assert!((mean - glam::DVec3::new(0.0, 0.0, 2.0 / 3.0)).length() < 1e-3, "{mean}");
+    }
+
+    #[test]
+    fn mirrors_reflect() {
+        let (ray, surface) = surface();
+        assert!((surface.mirror_direction(ray.direction) - Vec3::new(0.6, 0.0, 0.8)).length() < 1e-6);
+    }
+
+    #[test]
+    fn no_material_makes_light() {
+        let shiny = Material {
+            diffuse: Vec3::splat(0.9),
+            specular: Vec3::new(0.9, 0.0, f32::NAN),
+            emission: Vec3::new(-1.0, f32::INFINITY, 2.0),
+            ..Material::default()
+        };
+        let appearance = Appearance::of(&shiny);
+        assert!((appearance.diffuse + appearance.specular).max_element() <= 1.0 + 1e-6);
+        assert_eq!(appearance.emission, Vec3::new(0.0, 0.0, 2.0));
+    }
+}
