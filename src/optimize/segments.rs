@@ -4,18 +4,13 @@
 //! instructions; on x86-64 a second copy of the loop, compiled for AVX2, is chosen when the processor has it. Both copies do
 //! the same operations in the same order, so counts do not depend on the machine.
 //!
-//! The test is the conservative one of traversal (Ize, "Robust BVH Ray Traversal", JCGT 2013): a ray is counted for
+//! The test is the conservative one of traversal ([`PreparedRay::entry`]): a ray is counted for
 //! exactly those boxes that a traversal of its effective segment would enter. So P_R here is P_R as `bvh-compare` counts it.
 
 use crate::geometry::padded::PaddedAabb;
-use crate::geometry::{Ray, Vec3};
+use crate::geometry::Ray;
+use crate::traverse::ray::{PADDING, PreparedRay};
 use rayon::prelude::*;
-
-/// Relative enlargement of far distances, more than the roundings of both sides of the comparison.
-const PADDING: f32 = 8.0 / (1 << 24) as f32;
-
-/// Direction components outside of this range (zero apart) have no inverse that is exact to one rounding.
-const INVERTIBLE: std::ops::RangeInclusive<f32> = 1e-30..=1e30;
 
 /// A ray over its effective segment.
 #[derive(Clone, Copy, Debug)]
@@ -31,19 +26,13 @@ struct Segment {
 impl Segment {
     /// None for a ray that overlaps no box: not finite, or with an empty interval.
     fn new(ray: &Ray) -> Option<Segment> {
-        if !(ray.origin.is_finite() && ray.direction.is_finite() && ray.tnear <= ray.tfar) {
-            return None;
-        }
-        let (tnear, tfar) = (ray.tnear.max(f32::MIN), ray.tfar.min(f32::MAX));
-        let inverse = |component: f32| {
-            if tnear < 0.0 || !(component == 0.0 || INVERTIBLE.contains(&component.abs())) {
-                f32::NAN
-            } else {
-                1.0 / component
-            }
-        };
-        let Vec3 { x, y, z } = ray.direction;
-        Some(Segment { origin: ray.origin.to_array(), tnear, inverse: [x, y, z].map(inverse), tfar })
+        let ray = PreparedRay::new(ray);
+        (ray.tnear <= ray.tfar).then_some(Segment {
+            origin: ray.origin.to_array(),
+            tnear: ray.tnear,
+            inverse: ray.near_inverse.to_array(),
+            tfar: ray.tfar,
+        })
     }
 
     /// Which of the boxes the segment overlaps: 1 or 0 a lane.
@@ -152,7 +141,7 @@ fn count_avx2<const N: usize>(segments: &[Segment], list: &[u32], lanes: &Lanes<
 mod tests {
     use super::super::random::Random;
     use super::*;
-    use crate::geometry::Aabb;
+    use crate::geometry::{Aabb, Vec3};
 
     /// By how much the segment overlaps the box, in double precision: the length of the common interval of t, negative when they are apart.
     fn overlap(ray: &Ray, bounds: &Aabb) -> f64 {
@@ -188,6 +177,9 @@ mod tests {
                 assert_eq!(within.len(), counts[index] as usize);
                 assert_eq!(segments.count(&all, &[padded[index]]), [counts[index]]);
                 for (number, ray) in rays.iter().enumerate() {
+                    let prepared = PreparedRay::new(ray);
+                    let entered = prepared.entry(bounds, prepared.tfar).is_some();
+                    assert_eq!(within.contains(&(number as u32)), entered, "traversal decides otherwise");
                     let overlap = overlap(ray, bounds);
                     if overlap.abs() > 1e-5 {
                         assert_eq!(within.contains(&(number as u32)), overlap > 0.0, "{ray:?} {bounds:?} {overlap}");
