@@ -11,6 +11,7 @@
 pub mod binned;
 pub mod cost;
 mod describe;
+pub mod exhaustive;
 mod recursion;
 pub mod reference;
 pub mod sweep;

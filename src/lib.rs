@@ -27,6 +27,7 @@ pub mod format;
 pub mod geometry;
 pub mod inspect;
 pub mod mesh;
+pub mod optimize;
 pub mod probability;
 pub mod progress;
 #[cfg(feature = "embree")]
