@@ -3,6 +3,8 @@
 //! Coordinates are world space, in the scene's own unit. `f32` throughout, as in Embree and in the files;
 //! where two right answers have to be told apart, callers go to `f64` themselves (see `replay`).
 
+pub mod padded;
+
 use bytemuck::{Pod, Zeroable};
 pub use glam::{DVec3, Vec3};
 

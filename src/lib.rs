@@ -6,6 +6,7 @@
 //! |---|---|---|
 //! | shapes | [`geometry`], [`tree`] | boxes, rays, triangles; nodes as they stand in a file |
 //! | scenes | [`mesh`] | triangles from OBJ, PLY and generators |
+//! | building | [`builder`], [`probability`] | trees from triangles, and how likely a box is hit |
 //! | formats | [`format`] | `.rays` and `.bvh`, each read and written in one place |
 //!
 //! # Invariants
@@ -15,10 +16,12 @@
 //! 3. Same input, same seed: same bytes out, whatever the number of threads.
 //! 4. No input file makes a tool panic, read out of bounds, loop or allocate without limit.
 
+pub mod builder;
 pub mod cli;
 pub mod files;
 pub mod format;
 pub mod geometry;
 pub mod mesh;
+pub mod probability;
 pub mod progress;
 pub mod tree;

@@ -1,0 +1,241 @@
+//! The recursion that all top-down algorithms share: when to stop, where nodes go, and what runs beside what.
+//!
+//! # Layout
+//! Siblings are adjacent; below a pair comes the whole left subtree, then the whole right one. A subtree over n
+//! primitives has at most 2 n - 1 nodes, so each knows its place before it is built: subtrees are written by different
+//! threads without a lock, and the bytes cannot depend on which came first. Depth first also is what a traversal
+//! reads: its next node is usually the pair behind the current one. With leaves of more than one primitive the places
+//! that stayed empty are closed at the end.
+
+use super::binned::BinnedReferences;
+use super::cost::Weight;
+use super::reference::{Reference, References};
+use super::sweep::SweepReferences;
+use super::{Config, MAX_DEPTH, Splits};
+use crate::geometry::padded::PaddedAabb;
+use crate::probability::Probability;
+use crate::progress::Progress;
+use crate::tree::{Node, Tree};
+use bytemuck::Zeroable;
+
+/// Subtrees with fewer primitives are built by one thread.
+const SEQUENTIAL: usize = 1 << 12;
+
+/// One side of a split.
+#[derive(Clone, Copy, Debug)]
+pub struct Side {
+    pub primitives: usize,
+    pub bounds: PaddedAabb,
+    /// P of `bounds`.
+    pub probability: f32,
+}
+
+/// A way to divide the references of a node.
+#[derive(Clone, Copy, Debug)]
+pub struct Split<Plane> {
+    /// What the algorithm needs to divide accordingly.
+    pub plane: Plane,
+    pub left: Side,
+    pub right: Side,
+}
+
+/// The references of one node, as an algorithm keeps them. Memory is borrowed from one allocation for the whole tree.
+pub trait NodeReferences: Send + Sized {
+    type Plane: Copy + Send;
+
+    /// How many there are; at least one.
+    fn len(&self) -> usize;
+
+    /// The candidate of least cost, if there is any. Called for two or more references.
+    fn best_split<P: Probability, W: Weight>(
+        &mut self,
+        probability: &P,
+        state: &P::State,
+        weight: &W,
+    ) -> Option<Split<Self::Plane>>;
+
+    /// A split in the middle, for when no candidate will do. Both sides have at least half, rounded down.
+    /// Probabilities of the sides are left at 0.
+    fn halves(&mut self) -> Split<Self::Plane>;
+
+    /// Carries `split` out.
+    fn divide(self, split: &Split<Self::Plane>) -> (Self, Self);
+
+    /// Writes the triangles of the references, in order.
+    fn triangles(&self, out: &mut [u32]);
+}
+
+/// Everything that stays the same during a build.
+pub struct Builder<'a, P, W> {
+    pub probability: &'a P,
+    pub weight: W,
+    pub config: &'a Config,
+    pub progress: &'a Progress,
+}
+
+/// A subtree that is to be built: its input, and where its output goes.
+struct Job<'a, R, S> {
+    references: R,
+    bounds: PaddedAabb,
+    state: S,
+    /// Levels from the root, which is 1.
+    level: usize,
+    /// Places for the nodes below this one; the first has number `first_node` in the tree.
+    nodes: &'a mut [Node],
+    first_node: usize,
+    /// The same for primitives.
+    primitives: &'a mut [u32],
+    first_primitive: usize,
+}
+
+impl<P: Probability, W: Weight> Builder<'_, P, W> {
+    /// Builds the tree over `references`, of which there is at least one.
+    pub fn run(&self, references: References) -> Tree {
+        let References { mut list, bounds, half_unit } = references;
+        match self.config.splits {
+            Splits::Binned { bins } => {
+                let mut spare = vec![Reference::zeroed(); list.len()];
+                self.root(BinnedReferences::new(&mut list, &mut spare, half_unit, bins), bounds)
+            }
+            Splits::Sweep => {
+                let mut columns = SweepReferences::columns(list, half_unit);
+                self.root(columns.references(), bounds)
+            }
+        }
+    }
+
+    fn root<R: NodeReferences>(&self, references: R, bounds: PaddedAabb) -> Tree {
+        let count = references.len();
+        let mut nodes = vec![Node::zeroed(); 2 * count - 1];
+        let mut primitives = vec![0; count];
+        let state = self.probability.root(&bounds);
+        let (root, below) = nodes.split_at_mut(1);
+        root[0] = self.subtree(Job {
+            references,
+            bounds,
+            state,
+            level: 1,
+            nodes: below,
+            first_node: 1,
+            primitives: &mut primitives,
+            first_primitive: 0,
+        });
+        if self.config.max_leaf > 1 {
+            close_gaps(&mut nodes);
+        }
+        Tree { nodes, primitives }
+    }
+
+    /// Builds a subtree and returns its topmost node, for the caller to put beside its sibling.
+    fn subtree<R: NodeReferences>(&self, mut job: Job<R, P::State>) -> Node {
+        let count = job.references.len();
+        let Some(split) = self.choose(&mut job) else {
+            job.references.triangles(job.primitives);
+            return Node::leaf(job.bounds.into(), job.first_primitive as u32, count as u32);
+        };
+        let (left_references, right_references) = job.references.divide(&split);
+        let (left_state, right_state) =
+            self.probability.split(job.state, &split.left.bounds, &split.right.bounds);
+        let (pair, below) = job.nodes.split_at_mut(2);
+        let left_below = 2 * split.left.primitives - 2;
+        let (left_nodes, right_nodes) = below.split_at_mut(left_below);
+        let (left_primitives, right_primitives) = job.primitives.split_at_mut(split.left.primitives);
+        let left = Job {
+            references: left_references,
+            bounds: split.left.bounds,
+            state: left_state,
+            level: job.level + 1,
+            nodes: left_nodes,
+            first_node: job.first_node + 2,
+            primitives: left_primitives,
+            first_primitive: job.first_primitive,
+        };
+        let right = Job {
+            references: right_references,
+            bounds: split.right.bounds,
+            state: right_state,
+            level: job.level + 1,
+            nodes: right_nodes,
+            first_node: job.first_node + 2 + left_below,
+            primitives: right_primitives,
+            first_primitive: job.first_primitive + split.left.primitives,
+        };
+        if count >= SEQUENTIAL {
+            (pair[0], pair[1]) = rayon::join(|| self.reported(left), || self.reported(right));
+        } else {
+            pair[0] = self.subtree(left);
+            pair[1] = self.subtree(right);
+        }
+        Node::inner(job.bounds.into(), job.first_node as u32, 2)
+    }
+
+    /// Builds a subtree, and tells the progress when it is one that a single thread builds.
+    fn reported<R: NodeReferences>(&self, job: Job<R, P::State>) -> Node {
+        let count = job.references.len();
+        let node = self.subtree(job);
+        if count < SEQUENTIAL {
+            self.progress.advance(count as u64);
+        }
+        node
+    }
+
+    /// The split of a node, or `None` for a leaf.
+    #[inline]
+    fn choose<R: NodeReferences>(&self, job: &mut Job<R, P::State>) -> Option<Split<R::Plane>> {
+        let count = job.references.len();
+        if count == 1 {
+            return None;
+        }
+        let best = job.references.best_split(self.probability, &job.state, &self.weight);
+        let may_be_leaf = count <= self.config.max_leaf;
+        match best {
+            Some(split) if may_be_leaf && !self.pays(&split, job) => None,
+            Some(split) if fits(&split, job.level) => Some(split),
+            None if may_be_leaf => None,
+            _ => Some(job.references.halves()),
+        }
+    }
+
+    /// Whether splitting a node costs less than making it a leaf: two box tests more, fewer primitive tests.
+    fn pays<R, Plane>(&self, split: &Split<Plane>, job: &Job<R, P::State>) -> bool {
+        let node = self.probability.node(&job.state, &job.bounds) as f64;
+        let tests = |side: &Side| side.primitives as f64 * side.probability as f64;
+        let both = split.left.primitives + split.right.primitives;
+        2.0 * self.config.c_i * node + self.config.c_p * (tests(&split.left) + tests(&split.right))
+            < self.config.c_p * both as f64 * node
+    }
+}
+
+/// Whether the children of a node at `level` could still be finished above [`MAX_DEPTH`] by splits in the middle.
+/// As the root can, and halves can where their parent could, no leaf is deeper.
+#[inline]
+fn fits<Plane>(split: &Split<Plane>, level: usize) -> bool {
+    let larger = split.left.primitives.max(split.right.primitives);
+    let levels_below = larger.next_power_of_two().trailing_zeros() as usize;
+    level + 1 + levels_below <= MAX_DEPTH
+}
+
+/// Moves nodes together where subtrees used fewer than the 2 n - 1 places they had, keeping the layout.
+fn close_gaps(nodes: &mut Vec<Node>) {
+    // Pairs in depth-first order, with the parent to tell where they went. A pair never moves up past one that
+    // is still to be read, because those all stand behind it.
+    let mut pairs = Vec::with_capacity(2 * MAX_DEPTH);
+    let mut end = 1;
+    if !nodes[0].is_leaf() {
+        pairs.push((nodes[0].first as usize, 0));
+    }
+    while let Some((from, parent)) = pairs.pop() {
+        let to = end;
+        end += 2;
+        nodes[parent as usize].first = to as u32;
+        for child in [1, 0] {
+            let node = nodes[from + child];
+            if !node.is_leaf() {
+                pairs.push((node.first as usize, (to + child) as u32));
+            }
+        }
+        nodes.copy_within(from..from + 2, to);
+    }
+    nodes.truncate(end);
+    nodes.shrink_to_fit();
+}

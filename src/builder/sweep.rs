@@ -1,0 +1,256 @@
+//! Full sweep: every way to cut the centroids' order, on all three axes (MacDonald and Booth 1990; with one sort for the
+//! whole build, Wald and Havran 2006).
+//!
+//! The references are sorted once per axis. A node is a range of each of the three columns; dividing it cuts the
+//! column of the chosen axis, and divides the others by a flag per triangle, which keeps their order. So a level
+//! costs O(n), the build O(n · depth). Equal centroids are ordered by triangle, so that a sweep can divide them too.
+
+use super::cost::Weight;
+use super::recursion::{NodeReferences, Side, Split};
+use super::reference::Reference;
+use crate::geometry::padded::PaddedAabb;
+use crate::probability::Probability;
+use bytemuck::Zeroable;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Nodes with more references are swept and divided by several threads, one per axis.
+const PARALLEL: usize = 1 << 13;
+
+/// The memory of a sweep build.
+pub struct Columns {
+    axes: [Column; 3],
+    goes_right: Vec<AtomicBool>,
+}
+
+struct Column {
+    sorted: Vec<Reference>,
+    spare: Vec<Reference>,
+}
+
+/// A range of the references in the order of one axis, and as much memory to divide them into. Until then, that
+/// memory holds the probabilities of candidates.
+struct Range<'a> {
+    sorted: &'a mut [Reference],
+    spare: &'a mut [Reference],
+}
+
+/// The references of a node in three orders.
+pub struct SweepReferences<'a> {
+    axes: [Range<'a>; 3],
+    /// By triangle: on which side of the split that is being carried out. Nodes touch only their own triangles'.
+    goes_right: &'a [AtomicBool],
+}
+
+/// A candidate: the first references in the order of `axis` go left.
+#[derive(Clone, Copy, Debug)]
+pub struct Plane {
+    axis: usize,
+}
+
+impl Columns {
+    /// All references.
+    pub fn references(&mut self) -> SweepReferences<'_> {
+        SweepReferences {
+            axes: self
+                .axes
+                .each_mut()
+                .map(|column| Range { sorted: &mut column.sorted, spare: &mut column.spare }),
+            goes_right: &self.goes_right,
+        }
+    }
+}
+
+impl SweepReferences<'_> {
+    /// Sorts references on each axis.
+    pub fn columns(list: Vec<Reference>, half_unit: f32) -> Columns {
+        let largest = list.par_iter().map(|r| r.triangle()).max().unwrap_or(0) as usize;
+        let axes = [0, 1, 2].map(|axis| {
+            let mut order: Vec<(u64, u32)> = list
+                .par_iter()
+                .enumerate()
+                .map(|(index, reference)| {
+                    let centroid = ordered_bits(reference.centroid(half_unit)[axis]);
+                    ((centroid as u64) << 32 | reference.triangle() as u64, index as u32)
+                })
+                .collect();
+            order.par_sort_unstable();
+            Column {
+                sorted: order.par_iter().map(|&(_, index)| list[index as usize]).collect(),
+                spare: vec![Reference::zeroed(); list.len()],
+            }
+        });
+        Columns { axes, goes_right: (0..=largest).map(|_| AtomicBool::new(false)).collect() }
+    }
+}
+
+/// Maps a number to an integer that is ordered like it.
+fn ordered_bits(value: f32) -> u32 {
+    let bits = value.to_bits();
+    if bits >> 31 == 1 { !bits } else { bits | 1 << 31 }
+}
+
+/// Candidate of one axis.
+#[derive(Clone, Copy)]
+struct Candidate {
+    cost: f32,
+    left_count: usize,
+    left: f32,
+    right: f32,
+}
+
+impl Range<'_> {
+    /// The cheapest cut of this order; of equals the first.
+    fn best<P: Probability, W: Weight>(
+        &mut self,
+        probability: &P,
+        state: &P::State,
+        weight: &W,
+    ) -> Option<Candidate> {
+        let count = self.sorted.len();
+        let candidates = count - 1;
+        // Candidate i leaves i + 1 references left; 8 numbers fit in the memory of each reference.
+        let numbers: &mut [f32] = bytemuck::cast_slice_mut(self.spare);
+        let (left, right) = numbers[..2 * candidates].split_at_mut(candidates);
+        let grow = |sum: &mut PaddedAabb, reference: &Reference| {
+            *sum = sum.union(&reference.bounds());
+            Some(*sum)
+        };
+        let prefixes = self.sorted[..candidates].iter().scan(PaddedAabb::EMPTY, grow);
+        probability.nested(state, prefixes, left);
+        let suffixes = self.sorted[1..].iter().rev().scan(PaddedAabb::EMPTY, grow);
+        probability.nested(state, suffixes, right);
+        let mut best: Option<Candidate> = None;
+        let mut least = f32::INFINITY;
+        for (index, (&left, &right)) in left.iter().zip(right.iter().rev()).enumerate() {
+            let cost = weight.of(index + 1) * left + weight.of(count - index - 1) * right;
+            if cost < least {
+                least = cost;
+                best = Some(Candidate { cost, left_count: index + 1, left, right });
+            }
+        }
+        best
+    }
+
+    fn bounds(&self, range: std::ops::Range<usize>) -> PaddedAabb {
+        self.sorted[range].iter().fold(PaddedAabb::EMPTY, |sum, r| sum.union(&r.bounds()))
+    }
+
+    /// Moves references to the spare memory, those that go right behind the others.
+    fn divide(&mut self, left_count: usize, goes_right: &[AtomicBool]) {
+        let mut next = [0, left_count];
+        for reference in self.sorted.iter() {
+            let side = goes_right[reference.triangle() as usize].load(Ordering::Relaxed) as usize;
+            self.spare[next[side]] = *reference;
+            next[side] += 1;
+        }
+        std::mem::swap(&mut self.sorted, &mut self.spare);
+    }
+}
+
+/// Runs one task per axis, on several threads when there is much to do.
+fn on_axes<A: Send, T: Send>(parallel: bool, axes: [A; 3], task: impl Fn(A) -> T + Sync) -> [T; 3] {
+    if parallel {
+        let [x, y, z] = axes;
+        let (x, (y, z)) = rayon::join(|| task(x), || rayon::join(|| task(y), || task(z)));
+        [x, y, z]
+    } else {
+        axes.map(task)
+    }
+}
+
+impl NodeReferences for SweepReferences<'_> {
+    type Plane = Plane;
+
+    fn len(&self) -> usize {
+        self.axes[0].sorted.len()
+    }
+
+    fn best_split<P: Probability, W: Weight>(
+        &mut self,
+        probability: &P,
+        state: &P::State,
+        weight: &W,
+    ) -> Option<Split<Plane>> {
+        let count = self.len();
+        let candidates =
+            on_axes(count > PARALLEL, self.axes.each_mut(), |range| range.best(probability, state, weight));
+        let mut best: Option<(usize, Candidate)> = None;
+        for (axis, candidate) in candidates.into_iter().enumerate() {
+            if let Some(candidate) = candidate
+                && best.is_none_or(|(_, best)| candidate.cost < best.cost)
+            {
+                best = Some((axis, candidate));
+            }
+        }
+        let (axis, Candidate { left_count, left, right, .. }) = best?;
+        let side = |range: std::ops::Range<usize>, probability| Side {
+            primitives: range.len(),
+            bounds: self.axes[axis].bounds(range),
+            probability,
+        };
+        Some(Split {
+            plane: Plane { axis },
+            left: side(0..left_count, left),
+            right: side(left_count..count, right),
+        })
+    }
+
+    /// Halves of the order on the axis where the centroids are widest apart.
+    fn halves(&mut self) -> Split<Plane> {
+        let count = self.len();
+        let middle = count / 2;
+        let spread = |range: &Range| {
+            let centre = |r: &Reference| r.centroid(0.5);
+            (centre(&range.sorted[count - 1]) - centre(&range.sorted[0])).to_array()
+        };
+        let mut axis = 0;
+        for other in 1..3 {
+            if spread(&self.axes[other])[other] > spread(&self.axes[axis])[axis] {
+                axis = other;
+            }
+        }
+        let side = |range: std::ops::Range<usize>| Side {
+            primitives: range.len(),
+            bounds: self.axes[axis].bounds(range),
+            probability: 0.0,
+        };
+        Split { plane: Plane { axis }, left: side(0..middle), right: side(middle..count) }
+    }
+
+    fn divide(mut self, split: &Split<Plane>) -> (Self, Self) {
+        let left_count = split.left.primitives;
+        let chosen = split.plane.axis;
+        for (index, reference) in self.axes[chosen].sorted.iter().enumerate() {
+            self.goes_right[reference.triangle() as usize].store(index >= left_count, Ordering::Relaxed);
+        }
+        let goes_right = self.goes_right;
+        let parallel = self.len() > PARALLEL;
+        let mut axis = 0;
+        let tasks = self.axes.each_mut().map(|range| {
+            axis += 1;
+            (axis - 1, range)
+        });
+        on_axes(parallel, tasks, |(axis, range)| {
+            if axis != chosen {
+                range.divide(left_count, goes_right);
+            }
+        });
+        let halves = self.axes.map(|Range { sorted, spare }| {
+            let (left, right) = sorted.split_at_mut(left_count);
+            let (spare_left, spare_right) = spare.split_at_mut(left_count);
+            (Range { sorted: left, spare: spare_left }, Range { sorted: right, spare: spare_right })
+        });
+        let [(x_left, x_right), (y_left, y_right), (z_left, z_right)] = halves;
+        (
+            SweepReferences { axes: [x_left, y_left, z_left], goes_right },
+            SweepReferences { axes: [x_right, y_right, z_right], goes_right },
+        )
+    }
+
+    fn triangles(&self, out: &mut [u32]) {
+        for (out, reference) in out.iter_mut().zip(self.axes[0].sorted.iter()) {
+            *out = reference.triangle();
+        }
+    }
+}

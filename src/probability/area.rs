@@ -1,0 +1,85 @@
+//! P_U: uniformly distributed rays hit a convex box in proportion to its surface area (Goldsmith and Salmon 1987;
+//! MacDonald and Booth 1990). With it, a builder is a SAH builder.
+
+use super::Probability;
+use crate::geometry::padded::PaddedAabb;
+
+/// Half the surface area of a box, in units chosen so that no scene's areas overflow or vanish in `f32`.
+#[derive(Clone, Copy, Debug)]
+pub struct Area {
+    /// A power of two, so that scaling is exact.
+    unit: f32,
+}
+
+impl Area {
+    /// The measure for boxes inside `scene`.
+    pub fn of_scene(scene: &PaddedAabb) -> Area {
+        Area { unit: unit_for(scene) }
+    }
+
+    /// Half the surface area; unspecified for an empty box.
+    #[inline(always)]
+    pub fn of(&self, bounds: &PaddedAabb) -> f32 {
+        // Scaled before subtracting: the difference of two finite coordinates can overflow.
+        let edge = bounds.upper * self.unit - bounds.lower * self.unit;
+        edge.x * edge.y + edge.y * edge.z + edge.z * edge.x
+    }
+}
+
+/// The power of two that brings the largest coordinate of a finite box to about 1. Kept between the smallest and the
+/// largest normal number's.
+pub fn unit_for(scene: &PaddedAabb) -> f32 {
+    let largest = scene.lower.abs().max(scene.upper.abs()).max_element();
+    let exponent = ((largest.to_bits() >> 23) & 0xFF).clamp(2, 252);
+    f32::from_bits((254 - exponent) << 23)
+}
+
+impl Probability for Area {
+    type State = ();
+
+    #[inline(always)]
+    fn root(&self, _bounds: &PaddedAabb) {}
+
+    #[inline(always)]
+    fn node(&self, _state: &(), bounds: &PaddedAabb) -> f32 {
+        self.of(bounds)
+    }
+
+    #[inline(always)]
+    fn nested(&self, _state: &(), boxes: impl Iterator<Item = PaddedAabb>, out: &mut [f32]) {
+        for (area, bounds) in out.iter_mut().zip(boxes) {
+            *area = self.of(&bounds);
+        }
+    }
+
+    #[inline(always)]
+    fn split(&self, _state: (), _left: &PaddedAabb, _right: &PaddedAabb) -> ((), ()) {
+        ((), ())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Aabb, Vec3};
+
+    #[test]
+    fn ratios_are_those_of_surface_areas() {
+        let big = Aabb { lower: Vec3::ZERO, upper: Vec3::new(3.0, 4.0, 5.0) };
+        let small = Aabb { lower: Vec3::ONE, upper: Vec3::new(2.0, 2.0, 1.0) };
+        let area = Area::of_scene(&big.into());
+        let ratio = area.of(&small.into()) / area.of(&big.into());
+        assert_eq!(ratio, 1.0 / 47.0);
+    }
+
+    #[test]
+    fn neither_huge_nor_tiny_scenes_lose_their_areas() {
+        for size in [f32::MAX, 1e38, 1e20, 1.0, 1e-20, 1e-37] {
+            let bounds = Aabb { lower: Vec3::splat(-size), upper: Vec3::splat(size) }.into();
+            let area = Area::of_scene(&bounds).of(&bounds);
+            assert!((3.0..200.0).contains(&area), "{size} {area}");
+        }
+        let point = Aabb { lower: Vec3::ZERO, upper: Vec3::ZERO }.into();
+        assert_eq!(Area::of_scene(&point).of(&point), 0.0);
+    }
+}
