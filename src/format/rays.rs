@@ -1,127 +1,20 @@
 //! `.rays`: ray queries and their results.
+//!
+//! Writing: records in batches → `codec` encodes each batch as a chunk, on any thread → [`RaysWriter`] puts chunks
+//! one behind another and an index at the end. Reading: [`Rays::parse`] checks the header, every chunk's header and
+//! the index (or, when recording was cut off, recovers what is whole) without touching the bodies; [`Rays::chunk`]
+//! checks one body and gives its records, in place where they are stored raw.
 
-use crate::geometry::{Ray, Vec3};
-use bytemuck::{Pod, Zeroable};
+mod codec;
+mod layout;
+mod read;
+mod record;
+mod recover;
+mod write;
 
-/// No triangle: a miss, or a hit of something that is not a triangle.
-pub const NO_TRIANGLE: u32 = u32::MAX;
-/// The pixel is not known.
-pub const NO_PATH: u32 = u32::MAX;
-/// The depth is not known.
-pub const NO_DEPTH: u8 = 0xFF;
-
-/// What a query asks ([`Record::kind`]).
-pub mod kind {
-    pub const CLOSEST_HIT: u8 = 0;
-    pub const OCCLUSION: u8 = 1;
-}
-
-/// Bits of [`Record::flags`].
-pub mod flag {
-    pub const HIT: u8 = 1;
-    pub const COHERENT: u8 = 2;
-    pub const HAS_REJECTS: u8 = 4;
-    pub const NOT_A_TRIANGLE: u8 = 8;
-}
-
-/// Why a renderer asked ([`Record::purpose`]).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[repr(u8)]
-pub enum Purpose {
-    Unknown = 0,
-    Camera = 1,
-    Shadow = 2,
-    AmbientOcclusion = 3,
-    Diffuse = 4,
-    Specular = 5,
-}
-
-impl Purpose {
-    pub const ALL: [Purpose; 6] = [
-        Purpose::Unknown,
-        Purpose::Camera,
-        Purpose::Shadow,
-        Purpose::AmbientOcclusion,
-        Purpose::Diffuse,
-        Purpose::Specular,
-    ];
-
-    /// The purpose of a record's byte; a number that this version does not know is `Unknown`.
-    pub fn from_byte(byte: u8) -> Purpose {
-        *Purpose::ALL.get(byte as usize).unwrap_or(&Purpose::Unknown)
-    }
-
-    /// The name used in options, tables and JSON.
-    pub fn name(self) -> &'static str {
-        match self {
-            Purpose::Unknown => "unknown",
-            Purpose::Camera => "camera",
-            Purpose::Shadow => "shadow",
-            Purpose::AmbientOcclusion => "ao",
-            Purpose::Diffuse => "diffuse",
-            Purpose::Specular => "specular",
-        }
-    }
-}
-
-/// One query and its result, as it stands in the file: 64 bytes.
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-#[repr(C)]
-pub struct Record {
-    pub origin: Vec3,
-    pub tnear: f32,
-    /// As given, not normalised.
-    pub direction: Vec3,
-    /// As asked.
-    pub tfar: f32,
-    pub time: f32,
-    pub mask: u32,
-    /// Closest hit: distance of the hit, +inf on a miss. Occlusion: -inf if occluded, +inf if not.
-    pub t: f32,
-    /// Index into `TRIS`, or [`NO_TRIANGLE`].
-    pub triangle: u32,
-    pub u: f32,
-    pub v: f32,
-    /// y * width + x of the pixel, or [`NO_PATH`].
-    pub path: u32,
-    pub kind: u8,
-    pub depth: u8,
-    pub flags: u8,
-    pub purpose: u8,
-}
-
-impl Record {
-    /// The ray as it was asked, [tnear, tfar].
-    #[inline]
-    pub fn ray(&self) -> Ray {
-        Ray { origin: self.origin, tnear: self.tnear, direction: self.direction, tfar: self.tfar }
-    }
-
-    /// The ray over its *effective segment*: up to the recorded hit for a closest-hit query, as asked for an occlusion.
-    #[inline]
-    pub fn effective_segment(&self) -> Ray {
-        let tfar = if self.is_occlusion() { self.tfar } else { self.tfar.min(self.t) };
-        Ray { tfar, ..self.ray() }
-    }
-
-    #[inline]
-    pub fn is_occlusion(&self) -> bool {
-        self.kind == kind::OCCLUSION
-    }
-
-    /// Whether anything was hit (for an occlusion: whether it was occluded).
-    #[inline]
-    pub fn is_hit(&self) -> bool {
-        self.flags & flag::HIT != 0
-    }
-}
-
-/// A candidate hit that the program's intersection filter refused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
-#[repr(C)]
-pub struct Reject {
-    /// Index of the record within its chunk.
-    pub record: u32,
-    /// Index into `TRIS`.
-    pub triangle: u32,
-}
+pub use codec::{Codec, EncodedChunk, encode_chunk};
+pub use layout::{ChunkEntry, ChunkInfo, Header, MAX_CHUNK_RECORDS, MAX_DECODED_BYTES};
+pub use read::{Chunk, Rays};
+pub use record::{NO_DEPTH, NO_PATH, NO_TRIANGLE, Purpose, Record, Reject, flag, kind};
+pub use recover::Recovery;
+pub use write::{RaysWriter, Totals};
