@@ -77,9 +77,14 @@ pub struct Count {
     pub area: f32,
 }
 
+impl Count {
+    /// The count and nothing else, as in the paper's figure 1: of candidates that as many rays overlap, the first is taken.
+    pub const PLAIN: Count = Count { floor: 0.0, area: 0.0 };
+}
+
 impl Default for Count {
-    /// The plain heuristic: no floor, and area only where the rays leave a tie (less than any ray, unless there are
-    /// a thousand primitives for each).
+    /// No floor, and area only where the rays leave a tie (less than any ray, unless there are a thousand primitives
+    /// for each).
     fn default() -> Count {
         Count { floor: 0.0, area: 1.0 / 1024.0 }
     }

@@ -170,8 +170,7 @@ impl Search<'_> {
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn each_avx2(&self, segments: &[Segment], rays: &[u32], found: impl FnMut(usize, u32)) {
-        // SAFETY: this function is only entered on a processor with AVX2.
-        self.each_with(segments, rays, |block, ray| unsafe { overlapped_avx2(block, ray) }, found);
+        self.each_with(segments, rays, |block, ray| overlapped_avx2(block, ray), found);
     }
 
     #[inline(always)]
