@@ -3,10 +3,23 @@
 //! A reader (`obj`, `ply`) or a generator (`generate`) returns a [`Mesh`]; `embree` attaches each [`Part`] as one geometry,
 //! in order, so a part's number is its Embree geomID; [`Mesh::triangles`] numbers the triangles as the files do.
 
+pub mod generate;
+mod lines;
+pub mod mtl;
+mod number;
+pub mod obj;
+pub mod ply;
+mod polygon;
+mod read;
+mod warnings;
+
+pub use read::{MeshError, Problem, read, read_with};
+pub use warnings::{Kind, Warnings};
+
 use crate::geometry::{Triangle, Vec3};
 
 /// Corners of each face of a [`Part`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Faces {
     Triangles,
     /// Embree quads (v0, v1, v2, v3): triangles (v0, v1, v3) and (v2, v3, v1), in this order.

@@ -92,10 +92,9 @@ impl<const N: usize> Histogram<N> {
         for reference in references {
             let bounds = reference.bounds();
             let bins = grid.bins(reference.centroid(grid.half_unit));
-            for axis in 0..3 {
-                let bin = &mut self.bounds[axis][bins[axis]];
-                *bin = bin.union(&bounds);
-                self.counts[axis][bins[axis]] += 1;
+            for (axis, bin) in bins.into_iter().enumerate() {
+                self.bounds[axis][bin] = self.bounds[axis][bin].union(&bounds);
+                self.counts[axis][bin] += 1;
             }
         }
     }

@@ -53,7 +53,9 @@ pub fn figure(rows: &[Row]) -> Figure {
         Series::line(&format!("w = {weight}"), ramp(0.08 + 0.8 * weight), Stroke::Solid, Mark::None, line)
     });
     let mut by_focus = Vec::new();
-    for ((focus, again), color) in published::BLEND_AGAIN.into_iter().zip([BLUE, GREEN, VERMILLION] as [Color; 3]) {
+    for ((focus, again), color) in
+        published::BLEND_AGAIN.into_iter().zip([BLUE, GREEN, VERMILLION] as [Color; 3])
+    {
         let ours = summary(rows.iter().filter(|row| row.focus == focus).map(|row| (row.weight, cost(row))));
         let band = ours.iter().map(|p| (p.x, p.mean - p.error, p.mean + p.error)).collect();
         let line = ours.iter().map(|p| (p.x, p.mean)).collect();
@@ -64,14 +66,18 @@ pub fn figure(rows: &[Row]) -> Figure {
             by_focus.push(Series::line("focus 0, published", color, Stroke::Dashed, Mark::Ring, points));
         }
         let points = published::WEIGHTS.into_iter().zip(again).collect();
-        by_focus.push(Series::line(&format!("focus {focus}, re-run"), color, Stroke::Dotted, Mark::Cross, points));
+        by_focus.push(Series::line(
+            &format!("focus {focus}, re-run"),
+            color,
+            Stroke::Dotted,
+            Mark::Cross,
+            points,
+        ));
     }
     let y = "BVH cost (10⁴ box tests, 3000 rays)";
     let panels = vec![
         Chart::new("by focus", "focus", y, by_weight.into()).with_x(0.0, 1.0).with_y(2.0, 10.0),
-        Chart::new("by weight", "weight w of the rays", y, by_focus)
-            .with_x(0.0, 1.0)
-            .with_y(2.0, 10.0),
+        Chart::new("by weight", "weight w of the rays", y, by_focus).with_x(0.0, 1.0).with_y(2.0, 10.0),
     ];
     let mut figure = Figure::new("Rays and area blended, sphere", 2, panels);
     figure.note = "Mean over trials; bands are one standard error. Published: Feltman 2011, section 5.3; re-run: an independent program.".into();

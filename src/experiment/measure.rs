@@ -22,7 +22,9 @@ pub struct Cost {
 
 /// The two counts contradict each other: a defect of this program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error("{box_tests} box tests were counted, but {rays} rays + 2 × T_R of {t_r} are expected: please report this")]
+#[error(
+    "{box_tests} box tests were counted, but {rays} rays + 2 × T_R of {t_r} are expected: please report this"
+)]
 pub struct IdentityError {
     rays: u64,
     box_tests: u64,
@@ -44,7 +46,12 @@ pub fn end_at_hits(tree: &Tree, triangles: &[Triangle], rays: &[Ray]) -> Vec<Ray
 ///
 /// # Errors
 /// When box tests are not rays + 2 T_R.
-pub fn cost(tree: &Tree, triangles: &[Triangle], rays: &[Ray], segments: &[Ray]) -> Result<Cost, IdentityError> {
+pub fn cost(
+    tree: &Tree,
+    triangles: &[Triangle],
+    rays: &[Ray],
+    segments: &[Ray],
+) -> Result<Cost, IdentityError> {
     let prepared = Prepared::new(tree.view(), triangles, &[]);
     let (mut scratch, mut counts, mut overlap) = (Scratch::default(), Counts::default(), Overlap::default());
     for (ray, segment) in rays.iter().zip(segments) {

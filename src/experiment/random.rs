@@ -75,7 +75,8 @@ mod tests {
     fn a_disk_is_filled_evenly_and_lies_across_its_axis() {
         let mut random = Random::stream(1, &[2, 3]);
         let (center, axis) = (DVec3::new(1.0, 2.0, 3.0), DVec3::new(1.0, -1.0, 0.5));
-        let points: Vec<DVec3> = (0..4000).map(|_| random.in_disk(center, 8.0, axis).as_dvec3() - center).collect();
+        let points: Vec<DVec3> =
+            (0..4000).map(|_| random.in_disk(center, 8.0, axis).as_dvec3() - center).collect();
         assert!(points.iter().all(|p| p.length() < 8.0 + 1e-5 && p.dot(axis).abs() < 1e-4));
         let inner = points.iter().filter(|p| p.length() < 4.0).count() as f64 / 4000.0;
         assert!((inner - 0.25).abs() < 0.03, "a quarter of the area: {inner}");

@@ -7,7 +7,8 @@ use crate::builder::Config;
 use crate::files::{self, FileError, OutputFile};
 use crate::format::bvh::{self, Contents, Geometry, NO_INSTANCE};
 use crate::format::rays::{
-    self, ChunkInfo, Codec, Header, MAX_CHUNK_RECORDS, NO_DEPTH, NO_PATH, NO_TRIANGLE, Purpose, RaysWriter, Record,
+    self, ChunkInfo, Codec, Header, MAX_CHUNK_RECORDS, NO_DEPTH, NO_PATH, NO_TRIANGLE, Purpose, RaysWriter,
+    Record,
 };
 use crate::geometry::{Ray, Triangle};
 use crate::traverse::{All, Prepared, PreparedRay, Scratch, Traversal};
@@ -54,7 +55,9 @@ fn trace(tree: &Tree, triangles: &[Triangle], rays: &[Ray], path: &Path) -> Resu
         producer: PRODUCER,
     };
     // Names hold a point already, as in sphere-0.2, so the extension is appended, not set.
-    let with = |extension| path.with_file_name(format!("{}{extension}", path.file_name().unwrap_or_default().display()));
+    let with = |extension| {
+        path.with_file_name(format!("{}{extension}", path.file_name().unwrap_or_default().display()))
+    };
     let mut file = OutputFile::create(&with(".bvh"))?;
     let fingerprint = bvh::write(&mut file, &contents).map_err(|error| file.write_error(error))?;
     file.commit()?;
@@ -96,7 +99,8 @@ fn records(tree: &Tree, triangles: &[Triangle], rays: &[Ray]) -> Vec<Record> {
     let record = |ray: &Ray| {
         let hit = prepared.closest_hit(Traversal::Odf, &PreparedRay::new(ray), &All, &mut (), &mut scratch);
         // A reader gets weights of the corners that say where on the triangle the hit is.
-        let (u, v) = hit.map_or((0.0, 0.0), |hit| barycentric(&triangles[hit.triangle as usize], ray.at(hit.t)));
+        let (u, v) =
+            hit.map_or((0.0, 0.0), |hit| barycentric(&triangles[hit.triangle as usize], ray.at(hit.t)));
         Record {
             origin: ray.origin,
             tnear: ray.tnear,

@@ -18,7 +18,9 @@ pub fn run(settings: &Settings) -> Result<Vec<Row>, ExperimentError> {
     let foci = foci(settings);
     let jobs: Vec<(Shape, f64, u64)> = Shape::ALL
         .into_iter()
-        .flat_map(|shape| foci.iter().flat_map(move |&focus| (0..settings.trials).map(move |t| (shape, focus, t))))
+        .flat_map(|shape| {
+            foci.iter().flat_map(move |&focus| (0..settings.trials).map(move |t| (shape, focus, t)))
+        })
         .collect();
     let progress = Progress::new("shapes", jobs.len() as u64);
     let rows: Result<Vec<[Row; 2]>, _> = jobs
@@ -65,7 +67,8 @@ pub fn figure(rows: &[Row]) -> Figure {
             [(0.0, "SAH", BLUE, published.area), (1.0, "full ray information", VERMILLION, published.rays)]
         {
             let of = |row: &&Row| row.experiment == shape.name() && row.weight == weight;
-            let ours = summary(rows.iter().filter(of).map(|row| (row.focus, row.cost.box_tests as f64 / 1e4)));
+            let ours =
+                summary(rows.iter().filter(of).map(|row| (row.focus, row.cost.box_tests as f64 / 1e4)));
             let band = ours.iter().map(|p| (p.x, p.mean - p.error, p.mean + p.error)).collect();
             let line = ours.iter().map(|p| (p.x, p.mean)).collect();
             series.push(Series::band(color, band));
@@ -83,6 +86,7 @@ pub fn figure(rows: &[Row]) -> Figure {
             .with_y(low, high)
     });
     let mut figure = Figure::new("BVH cost by the focus of the rays", 2, panels.into());
-    figure.note = "Mean over trials with a band of one standard error. Published: Feltman 2011, figure 1.".into();
+    figure.note =
+        "Mean over trials with a band of one standard error. Published: Feltman 2011, figure 1.".into();
     figure
 }

@@ -19,7 +19,11 @@ impl Blend {
     /// # Errors
     /// When `weight` is not from 0 to 1.
     pub fn new(weight: f64) -> Result<Blend, WeightError> {
-        if (0.0..=1.0).contains(&weight) { Ok(Blend { weight: weight as f32 }) } else { Err(WeightError(weight)) }
+        if (0.0..=1.0).contains(&weight) {
+            Ok(Blend { weight: weight as f32 })
+        } else {
+            Err(WeightError(weight))
+        }
     }
 }
 

@@ -99,8 +99,7 @@ impl Chart {
     pub fn new(title: &str, x: &str, y: &str, series: Vec<Series>) -> Chart {
         let mut bounds = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
         let mut grow = |x: f64, y: f64| {
-            bounds =
-                [bounds[0].min(x), bounds[1].max(x), bounds[2].min(y), bounds[3].max(y)];
+            bounds = [bounds[0].min(x), bounds[1].max(x), bounds[2].min(y), bounds[3].max(y)];
         };
         for series in &series {
             match series {
@@ -204,7 +203,8 @@ mod tests {
 
     fn figure() -> Figure {
         let line = Series::line("ours", BLUE, Stroke::Solid, Mark::Disk, vec![(0.0, 1.0), (1.0, 3.0)]);
-        let published = Series::line("published", BLUE, Stroke::Dashed, Mark::Ring, vec![(0.0, 1.1), (1.0, 2.9)]);
+        let published =
+            Series::line("published", BLUE, Stroke::Dashed, Mark::Ring, vec![(0.0, 1.1), (1.0, 2.9)]);
         let band = Series::band(BLUE, vec![(0.0, 0.9, 1.1), (1.0, 2.9, 3.1)]);
         let scatter = Series::Scatter { points: vec![(0.5, 2.0, ramp(0.5)), (f64::NAN, 1.0, BLACK)] };
         let bars = Series::Bars { label: "bars".into(), color: GREEN, bars: vec![(0.0, 0.5, 1.0)] };

@@ -111,7 +111,9 @@ impl Candidates {
             for group in (start..end).step_by(LANES) {
                 let mut above = Block::ZERO;
                 for (lane, block) in self.blocks[group..end.min(group + LANES)].iter().enumerate() {
-                    for (to, from) in above.faces.as_flattened_mut().iter_mut().zip(block.faces.as_flattened()) {
+                    for (to, from) in
+                        above.faces.as_flattened_mut().iter_mut().zip(block.faces.as_flattened())
+                    {
                         to[lane] = from[LANES - 1];
                     }
                 }
@@ -269,7 +271,8 @@ mod tests {
             }
             let segments: Vec<Segment> = (0..300)
                 .filter_map(|index| {
-                    let direction = Vec3::new(random(), random(), if index % 7 == 0 { 0.0 } else { random() });
+                    let direction =
+                        Vec3::new(random(), random(), if index % 7 == 0 { 0.0 } else { random() });
                     let tfar = if index % 3 == 0 { f32::INFINITY } else { random().abs() * 3.0 };
                     let origin = 1.5 * Vec3::new(random(), random(), random());
                     Segment::new(&Ray { origin, tnear: 0.0, direction, tfar })
@@ -298,7 +301,8 @@ mod tests {
             let mut block = Block::ZERO;
             let boxes: Vec<PaddedAabb> = (0..LANES)
                 .map(|lane| {
-                    let (a, b) = (Vec3::new(random(), random(), random()), Vec3::new(random(), random(), random()));
+                    let (a, b) =
+                        (Vec3::new(random(), random(), random()), Vec3::new(random(), random(), random()));
                     let bounds = PaddedAabb::from(Aabb { lower: a.min(b), upper: a.max(b) });
                     block.set(lane, &bounds);
                     bounds

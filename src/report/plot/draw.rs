@@ -73,9 +73,13 @@ fn entries<'a>(series: impl Iterator<Item = &'a Series>) -> Vec<Entry> {
             Series::Line { label, color, stroke, mark, .. } => {
                 Entry { label: label.clone(), color: *color, stroke: *stroke, mark: *mark, bar: false }
             }
-            Series::Bars { label, color, .. } => {
-                Entry { label: label.clone(), color: *color, stroke: Stroke::None, mark: Mark::None, bar: true }
-            }
+            Series::Bars { label, color, .. } => Entry {
+                label: label.clone(),
+                color: *color,
+                stroke: Stroke::None,
+                mark: Mark::None,
+                bar: true,
+            },
             Series::Band { .. } | Series::Scatter { .. } => continue,
         };
         if !entry.label.is_empty() && !entries.iter().any(|e| *e == entry) {
@@ -182,7 +186,10 @@ impl<'a> Layout<'a> {
         let s = self.scale;
         let (from, to) = ((x * s, y * s), ((x + 30) * s, y * s));
         if entry.bar {
-            area.draw(&Rectangle::new([(from.0, from.1 - 5 * s), (to.0, to.1 + 5 * s)], entry.color.filled()))?;
+            area.draw(&Rectangle::new(
+                [(from.0, from.1 - 5 * s), (to.0, to.1 + 5 * s)],
+                entry.color.filled(),
+            ))?;
         }
         for segment in self.strokes(&[from, to], entry.stroke) {
             area.draw(&PathElement::new(segment, entry.color.stroke_width(2 * s as u32)))?;
@@ -272,7 +279,8 @@ impl<'a> Layout<'a> {
                     }
                 }
                 Series::Line { color, stroke, mark, points, .. } => {
-                    let path: Vec<_> = points.iter().filter(|p| inside(p.0, p.1)).map(|p| pixel(p.0, p.1)).collect();
+                    let path: Vec<_> =
+                        points.iter().filter(|p| inside(p.0, p.1)).map(|p| pixel(p.0, p.1)).collect();
                     for segment in self.strokes(&path, *stroke) {
                         area.draw(&PathElement::new(segment, color.stroke_width(2 * s as u32)))?;
                     }
@@ -410,5 +418,9 @@ fn tick(axis: &super::Axis, value: f64, step: f64) -> String {
     }
     let decimals = (-step.log10().floor()).clamp(0.0, 6.0) as usize;
     let text = format!("{value:.decimals$}");
-    if text.trim_start_matches('-').chars().all(|c| c == '0' || c == '.') { text.replace('-', "") } else { text }
+    if text.trim_start_matches('-').chars().all(|c| c == '0' || c == '.') {
+        text.replace('-', "")
+    } else {
+        text
+    }
 }

@@ -1,0 +1,245 @@
+//! Queries over a tree: closest hit and occlusion, ordered depth first or strictly front to back.
+//!
+//! A [`Prepared`] tree is made once per tree: inner nodes in a form that is quick to test ([`pairs`] for binary
+//! trees, [`groups`] for wider ones), triangles in leaf order. Each thread has a [`Scratch`]; nothing is allocated per
+//! query. The algorithms ([`odf`], [`ray_order`]) are generic over the form, over who watches ([`Observer`]) and over which
+//! triangles count ([`Candidates`]), and are compiled for each combination.
+//!
+//! Every form and every order gives the same answer: see [`triangle`] for how rounding is kept out of it.
+
+pub mod candidates;
+pub mod form;
+pub mod groups;
+mod leaf;
+pub mod observer;
+mod odf;
+pub mod overlap;
+pub mod pairs;
+pub mod ray;
+mod ray_order;
+mod simd;
+pub mod triangle;
+
+pub use candidates::{All, Candidates, Recorded};
+pub use form::Link;
+pub use observer::{Counts, Observer, Path, Step};
+pub use overlap::{Overlap, Overlapped};
+pub use ray::PreparedRay;
+pub use triangle::PreparedTriangle;
+
+use crate::format::bvh::Geometry;
+use crate::geometry::{Aabb, Triangle};
+use crate::tree::TreeView;
+use form::Stack;
+use groups::Groups;
+use pairs::Pairs;
+
+/// In which order nodes are visited.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, clap::ValueEnum)]
+pub enum Traversal {
+    /// Ordered depth first: the nearer child first.
+    Odf,
+    /// Strictly front to back, with a priority queue.
+    RayOrder,
+}
+
+impl Traversal {
+    pub const ALL: [Traversal; 2] = [Traversal::Odf, Traversal::RayOrder];
+
+    /// The key in JSON and CSV.
+    pub fn key(self) -> &'static str {
+        match self {
+            Traversal::Odf => "odf",
+            Traversal::RayOrder => "ray_order",
+        }
+    }
+
+    /// The name for people.
+    pub fn name(self) -> &'static str {
+        match self {
+            Traversal::Odf => "ODF",
+            Traversal::RayOrder => "RayOrder",
+        }
+    }
+}
+
+/// The answer to a closest-hit query.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// In units of the direction's length.
+    pub t: f32,
+    /// Index into `TRIS`.
+    pub triangle: u32,
+}
+
+/// What one thread keeps from query to query.
+#[derive(Debug, Default)]
+pub struct Scratch {
+    stack: Stack,
+    queue: ray_order::Queue,
+}
+
+#[derive(Debug)]
+enum Nodes {
+    Pairs(Pairs),
+    Groups(Groups),
+}
+
+/// A tree made ready to be traversed.
+///
+/// Takes 64 bytes per inner node of a binary tree, 128 per four children of another, and 48 per primitive.
+#[derive(Debug)]
+pub struct Prepared {
+    nodes: Nodes,
+    root: Link,
+    root_bounds: Aabb,
+    triangles: Vec<PreparedTriangle>,
+    /// Most entries that can wait on a stack.
+    stack_size: usize,
+}
+
+/// Runs `$run` with `$nodes` as the form of `$prepared`: the one place where layouts are told apart.
+macro_rules! with_form {
+    ($prepared:expr, $nodes:ident => $run:expr) => {
+        match &$prepared.nodes {
+            Nodes::Pairs($nodes) => $run,
+            Nodes::Groups($nodes) => $run,
+        }
+    };
+}
+
+impl Prepared {
+    /// Prepares `tree` over `triangles`, all of whose indices have been checked.
+    ///
+    /// A triangle that no geometry names is seen by every mask.
+    pub fn new(tree: TreeView, triangles: &[Triangle], geometries: &[Geometry]) -> Prepared {
+        let masks = Masks::new(geometries);
+        let triangles = tree
+            .primitives
+            .iter()
+            .map(|&index| PreparedTriangle {
+                vertices: triangles[index as usize],
+                index,
+                mask: masks.of(index),
+            })
+            .collect();
+        let nodes = match Pairs::new(tree) {
+            Some(pairs) => Nodes::Pairs(pairs),
+            None => Nodes::Groups(Groups::new(tree)),
+        };
+        let root = match &nodes {
+            Nodes::Pairs(pairs) => pairs.root(tree, 0.0),
+            Nodes::Groups(groups) => groups.root(tree, 0.0),
+        };
+        Prepared { nodes, root, root_bounds: tree.nodes[0].bounds(), triangles, stack_size: stack_size(tree) }
+    }
+
+    /// Whether every inner node has two children.
+    pub fn is_binary(&self) -> bool {
+        matches!(self.nodes, Nodes::Pairs(_))
+    }
+
+    /// The closest hit in (tnear, tfar] among `candidates`; of several at the same t, the triangle of the lowest index.
+    #[inline]
+    pub fn closest_hit(
+        &self,
+        traversal: Traversal,
+        ray: &PreparedRay,
+        candidates: &impl Candidates,
+        observer: &mut impl Observer,
+        scratch: &mut Scratch,
+    ) -> Option<Hit> {
+        self.query::<false>(traversal, ray, candidates, observer, scratch)
+    }
+
+    /// Whether anything among `candidates` is hit in (tnear, tfar], and what was found first.
+    #[inline]
+    pub fn occluder(
+        &self,
+        traversal: Traversal,
+        ray: &PreparedRay,
+        candidates: &impl Candidates,
+        observer: &mut impl Observer,
+        scratch: &mut Scratch,
+    ) -> Option<Hit> {
+        self.query::<true>(traversal, ray, candidates, observer, scratch)
+    }
+
+    #[inline(always)]
+    fn query<const ANY: bool>(
+        &self,
+        traversal: Traversal,
+        ray: &PreparedRay,
+        candidates: &impl Candidates,
+        observer: &mut impl Observer,
+        scratch: &mut Scratch,
+    ) -> Option<Hit> {
+        observer.root();
+        let root = Link { entry: ray.entry(&self.root_bounds, ray.tfar)?, ..self.root };
+        let triangles = &self.triangles;
+        let best = match traversal {
+            Traversal::Odf => {
+                scratch.stack.start(self.stack_size);
+                let stack = &mut scratch.stack;
+                with_form!(self, form => odf::run::<ANY, _>(form, root, triangles, ray, candidates, observer, stack))
+            }
+            Traversal::RayOrder => {
+                let queue = &mut scratch.queue;
+                with_form!(self, form => ray_order::run::<ANY, _>(form, root, triangles, ray, candidates, observer, queue))
+            }
+        };
+        best.hit()
+    }
+
+    /// Tells `counter` of every node whose box the segment [tnear, `tfar`] of `ray` overlaps.
+    pub fn overlap(
+        &self,
+        ray: &PreparedRay,
+        tfar: f32,
+        counter: &mut impl Overlapped,
+        scratch: &mut Scratch,
+    ) {
+        let tfar = tfar.min(ray.tfar);
+        if let Some(entry) = ray.entry(&self.root_bounds, tfar) {
+            scratch.stack.start(self.stack_size);
+            let root = Link { entry, ..self.root };
+            with_form!(self, form => overlap::run(form, root, ray, tfar, counter, &mut scratch.stack));
+        }
+    }
+}
+
+/// Most entries on a stack: on every level of the deepest path all children but the one that is followed, and room for
+/// one node's children before they are sorted.
+fn stack_size(tree: TreeView) -> usize {
+    // Children stand behind their parents, so what waits above a node is known when it is reached.
+    let mut waiting = vec![0usize; tree.nodes.len()];
+    let (mut most, mut widest) = (0, 0);
+    for (index, node) in tree.nodes.iter().enumerate().filter(|(_, node)| !node.is_leaf()) {
+        let below = waiting[index] + node.len().saturating_sub(1);
+        most = most.max(below);
+        widest = widest.max(node.len());
+        waiting[node.range()].fill(below);
+    }
+    most + widest + 1
+}
+
+/// Finds a triangle's mask.
+struct Masks<'a> {
+    geometries: Vec<&'a Geometry>,
+}
+
+impl<'a> Masks<'a> {
+    fn new(geometries: &'a [Geometry]) -> Masks<'a> {
+        let mut geometries: Vec<&Geometry> = geometries.iter().filter(|g| g.triangle_count > 0).collect();
+        geometries.sort_by_key(|geometry| geometry.first_triangle);
+        Masks { geometries }
+    }
+
+    fn of(&self, triangle: u32) -> u32 {
+        let after = self.geometries.partition_point(|geometry| geometry.first_triangle <= triangle);
+        match after.checked_sub(1).map(|index| self.geometries[index]) {
+            Some(geometry) if triangle - geometry.first_triangle < geometry.triangle_count => geometry.mask,
+            _ => u32::MAX,
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! Who watches a traversal. Traversals are compiled once per observer, so one that ignores everything costs nothing.
+
+use super::form::Link;
+use super::triangle::PreparedTriangle;
+
+/// Told of each step of a traversal, in order. `()` ignores all of it.
+pub trait Observer {
+    /// The root's box is tested.
+    #[inline(always)]
+    fn root(&mut self) {}
+
+    /// An inner node is visited: the boxes of its `node.count` children are tested.
+    #[inline(always)]
+    fn inner(&mut self, _node: &Link) {}
+
+    /// A leaf is opened.
+    #[inline(always)]
+    fn leaf(&mut self, _leaf: &Link) {}
+
+    /// A triangle is tested.
+    #[inline(always)]
+    fn primitive(&mut self, _triangle: &PreparedTriangle) {}
+}
+
+impl Observer for () {}
+
+/// What a query cost, in the words of the design.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Boxes tested, the root's included.
+    pub box_tests: u64,
+    /// Inner nodes whose children were tested: on a wide tree, one vector operation each.
+    pub node_visits: u64,
+    pub primitive_tests: u64,
+}
+
+impl Observer for Counts {
+    #[inline(always)]
+    fn root(&mut self) {
+        self.box_tests += 1;
+    }
+
+    #[inline(always)]
+    fn inner(&mut self, node: &Link) {
+        self.node_visits += 1;
+        self.box_tests += u64::from(node.count);
+    }
+
+    #[inline(always)]
+    fn primitive(&mut self, _triangle: &PreparedTriangle) {
+        self.primitive_tests += 1;
+    }
+}
+
+/// One step of a recorded path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// An inner node of the file.
+    Inner(u32),
+    /// A leaf of the file.
+    Leaf(u32),
+    /// A triangle, as an index into `TRIS`.
+    Triangle(u32),
+}
+
+/// The nodes and triangles that a query met, in order.
+#[derive(Clone, Debug, Default)]
+pub struct Path {
+    pub steps: Vec<Step>,
+}
+
+impl Observer for Path {
+    fn inner(&mut self, node: &Link) {
+        self.steps.push(Step::Inner(node.node));
+    }
+
+    fn leaf(&mut self, leaf: &Link) {
+        self.steps.push(Step::Leaf(leaf.node));
+    }
+
+    fn primitive(&mut self, triangle: &PreparedTriangle) {
+        self.steps.push(Step::Triangle(triangle.index));
+    }
+}

@@ -1,0 +1,134 @@
+//! The form of binary trees: both children's boxes in one cache line, tested together in one vector register.
+
+use super::form::{Form, Link, Stack};
+use super::ray::PreparedRay;
+use super::simd::F32x4;
+use crate::tree::{LEAF_BIT, TreeView};
+
+/// Both children of an inner node. The left one is node 2 × index + 1 of the file.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+struct Pair {
+    /// Per axis: lower faces, upper faces; each the bits of left (low half) and right.
+    faces: [[u64; 2]; 3],
+    /// Left, right: [`Link::first`]; of an inner child, the index of its pair.
+    first: [u32; 2],
+    /// Left, right: [`Link::count`].
+    count: [u32; 2],
+}
+
+/// All pairs of a tree in which every inner node has two children.
+#[derive(Debug)]
+pub struct Pairs(Vec<Pair>);
+
+impl Pairs {
+    /// None when some inner node has not two children.
+    ///
+    /// Children are adjacent and every node but the root has one parent, so pairs tile the nodes from 1 on: the pair of
+    /// nodes 2 i + 1 and 2 i + 2 is number i, in file order, and nothing has to be looked up.
+    pub fn new(tree: TreeView) -> Option<Pairs> {
+        if tree.nodes.iter().any(|node| !node.is_leaf() && (node.len() != 2 || node.first % 2 == 0)) {
+            return None;
+        }
+        let (children, rest) = tree.nodes.get(1..)?.as_chunks::<2>();
+        if !rest.is_empty() {
+            return None;
+        }
+        let pack = |left: f32, right: f32| u64::from(left.to_bits()) | u64::from(right.to_bits()) << 32;
+        let pairs = children.iter().map(|[left, right]| Pair {
+            faces: std::array::from_fn(|axis| {
+                [pack(left.lower[axis], right.lower[axis]), pack(left.upper[axis], right.upper[axis])]
+            }),
+            first: [left, right].map(|child| if child.is_leaf() { child.first } else { child.first / 2 }),
+            count: [left.count, right.count],
+        });
+        Some(Pairs(pairs.collect()))
+    }
+
+    /// The root as a link, entered at `entry`.
+    pub fn root(&self, tree: TreeView, entry: f32) -> Link {
+        let root = tree.nodes[0];
+        let first = if root.is_leaf() { root.first } else { root.first / 2 };
+        Link { entry, node: 0, first, count: root.count }
+    }
+
+    /// The bits of which children are overlapped, and where each is entered.
+    #[inline(always)]
+    fn test(pair: &Pair, ray: &PairRay, tfar: f32) -> (u32, f32, f32) {
+        // Lanes: left's near, right's near, left's -far, right's -far. With far distances negated, one maximum does both.
+        let mut bound = F32x4::splat(ray.tnear).join(F32x4::splat(-tfar));
+        for axis in 0..3 {
+            let near = ray.near_face[axis] & 1;
+            let faces = F32x4::from_halves(pair.faces[axis][near], pair.faces[axis][near ^ 1]);
+            bound = faces.sub(ray.origin[axis]).mul(ray.inverse[axis]).max_or(bound);
+        }
+        let mask = bound.le_mask(bound.negated_high()) & 3;
+        let [left, right, ..] = bound.to_array();
+        (mask, left, right)
+    }
+
+    #[inline(always)]
+    fn link(pair: &Pair, index: u32, side: usize, entry: f32) -> Link {
+        Link {
+            entry,
+            node: 2 * index + 1 + side as u32,
+            first: pair.first[side & 1],
+            count: pair.count[side & 1],
+        }
+    }
+}
+
+/// A ray as pairs are tested against it.
+#[derive(Clone, Copy, Debug)]
+pub struct PairRay {
+    origin: [F32x4; 3],
+    /// Lanes 0, 1: the near inverse; 2, 3: the far one, negated.
+    inverse: [F32x4; 3],
+    near_face: [usize; 3],
+    tnear: f32,
+}
+
+impl Form for Pairs {
+    type Ray = PairRay;
+
+    #[inline(always)]
+    fn ray(ray: &PreparedRay) -> PairRay {
+        PairRay {
+            origin: std::array::from_fn(|axis| F32x4::splat(ray.origin[axis])),
+            inverse: std::array::from_fn(|axis| {
+                F32x4::splat(ray.near_inverse[axis]).join(F32x4::splat(-ray.far_inverse[axis]))
+            }),
+            near_face: ray.downwards,
+            tnear: ray.tnear,
+        }
+    }
+
+    #[inline(always)]
+    fn each(&self, parent: &Link, ray: &PairRay, tfar: f32, mut found: impl FnMut(Link)) {
+        let pair = &self.0[parent.first as usize];
+        let (mask, left, right) = Self::test(pair, ray, tfar);
+        if mask & 1 != 0 {
+            found(Self::link(pair, parent.first, 0, left));
+        }
+        if mask & 2 != 0 {
+            found(Self::link(pair, parent.first, 1, right));
+        }
+    }
+
+    #[inline(always)]
+    fn nearest(&self, parent: &Link, ray: &PairRay, tfar: f32, stack: &mut Stack) -> Option<Link> {
+        let pair = &self.0[parent.first as usize];
+        let (mask, left, right) = Self::test(pair, ray, tfar);
+        if mask == 0 {
+            return None;
+        }
+        // Which one is nearer is a coin toss that no predictor wins: choose it, and whether the other waits, by arithmetic.
+        let near_is_right = (mask == 2) | ((mask == 3) & (right < left));
+        let side = near_is_right as usize;
+        let (near, far) = if near_is_right { (right, left) } else { (left, right) };
+        stack.push_if(Self::link(pair, parent.first, side ^ 1, far), mask == 3);
+        Some(Self::link(pair, parent.first, side, near))
+    }
+}
+
+const _: () = assert!(size_of::<Pair>() == 64 && LEAF_BIT == 1 << 31);
