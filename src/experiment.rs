@@ -3,20 +3,28 @@
 //! Each file has `run`, which makes rows, and `figure`, which draws them; [`crate::report::plot`] writes the SVG and the
 //! PNG. `shapes` and `blend` make their own geometry and rays; the others take a trace (a `.bvh` with its `.rays`).
 
+pub mod alpha;
 pub mod blend;
 pub mod measure;
 pub mod published;
 pub mod random;
+pub mod sampling;
 pub mod save;
+pub mod scenes;
 pub mod shape;
 pub mod shapes;
+pub mod static_cost;
+pub mod trace;
+pub mod traversal;
 
 use crate::builder::BuildError;
 use crate::files::FileError;
 use crate::probability::blend::WeightError;
+use crate::tree::TreeView;
 use measure::{Cost, IdentityError};
 use std::io::{self, Write};
 use thiserror::Error;
+use trace::TraceError;
 
 /// What all experiments take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,6 +41,10 @@ pub struct Settings {
 pub enum ExperimentError {
     #[error(transparent)]
     Build(#[from] BuildError),
+    #[error("{found} pixels or queries are too few: at least {least} are needed; record a larger image")]
+    TooFew { found: usize, least: usize },
+    #[error(transparent)]
+    Trace(#[from] TraceError),
     #[error(transparent)]
     Weight(#[from] WeightError),
     #[error(transparent)]
@@ -69,6 +81,17 @@ pub fn write_csv(rows: &[Row], out: &mut impl Write) -> io::Result<()> {
 pub fn foci(settings: &Settings) -> Vec<f64> {
     let steps = if settings.quick { 5 } else { 50 };
     (0..=steps).map(|step| f64::from(step) / f64::from(steps)).collect()
+}
+
+/// The level of each node; the root's is 1.
+fn levels(tree: TreeView) -> Vec<u32> {
+    let mut levels = vec![1; tree.nodes.len()];
+    for (index, node) in tree.nodes.iter().enumerate().filter(|(_, node)| !node.is_leaf()) {
+        // Children stand behind their parent.
+        let below = levels[index] + 1;
+        levels[node.range()].fill(below);
+    }
+    levels
 }
 
 /// Mean of the values at one x, and its standard error.

@@ -3,8 +3,11 @@
 use clap::{Args, Parser, Subcommand};
 use embree_trace::cli::{self, Failure, Outcome};
 use embree_trace::experiment::shape::Shape;
+use embree_trace::experiment::trace::Trace;
 use embree_trace::experiment::{self, ExperimentError, Settings};
-use embree_trace::files::{FileError, OutputFile};
+use embree_trace::files::{FileError, MappedFile, OutputFile};
+use embree_trace::format::bvh::Bvh;
+use embree_trace::format::rays::Rays;
 use embree_trace::report::plot::Figure;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -14,7 +17,12 @@ const EXAMPLES: &str = "\
 Examples:
   bvh-experiment shapes --quick
   bvh-experiment blend --out figures --trials 10 --seed 1
-  bvh-experiment shapes --save traces";
+  bvh-experiment shapes --save traces
+  bvh-experiment alpha casts.bvh
+  bvh-experiment sampling built.bvh --rays casts.rays --queries 1000000
+  bvh-experiment scenes recordings
+
+A SCENE is a .bvh; its queries are the .rays of the same name, unless --rays says otherwise.";
 
 /// The experiments of \"Building Better BVHs by Using Ray Distributions\" (2011), as CSV, SVG and PNG
 #[derive(Parser)]
@@ -30,6 +38,16 @@ enum Experiment {
     Shapes(Generated),
     /// Rays and area blended by weight, on the sphere
     Blend(Generated),
+    /// T_R over the exponent of the count (the powerplant figure) on any recorded scene
+    Alpha(Scene),
+    /// Visits of each inner node by RayOrder and by ODF
+    Traversal(Scene),
+    /// How well static predictors tell the cost of a subtree
+    StaticCost(Scene),
+    /// Trees from the queries of 16×16 to 256×256 pixels, counted on all queries
+    Sampling(Sampling),
+    /// Every recorded scene in a folder × every builder: a table
+    Scenes(Scenes),
 }
 
 #[derive(Args)]
@@ -57,6 +75,45 @@ struct Generated {
     save: Option<PathBuf>,
 }
 
+#[derive(Args)]
+struct Traced {
+    #[command(flatten)]
+    common: Common,
+    /// About how many queries to take: those of whole pixels, drawn by --seed
+    #[arg(long, default_value_t = 262_144, value_parser = clap::value_parser!(u64).range(1..))]
+    queries: u64,
+}
+
+#[derive(Args)]
+struct Scene {
+    /// A .bvh file
+    #[arg(value_name = "SCENE")]
+    scene: PathBuf,
+    /// The queries, if not in the .rays of the same name
+    #[arg(long, value_name = "RAYS")]
+    rays: Option<PathBuf>,
+    #[command(flatten)]
+    traced: Traced,
+}
+
+#[derive(Args)]
+struct Sampling {
+    #[command(flatten)]
+    scene: Scene,
+    /// Random samples of each size
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    trials: u64,
+}
+
+#[derive(Args)]
+struct Scenes {
+    /// A folder with .bvh files and a .rays of the same name for each
+    #[arg(value_name = "DIR")]
+    directory: PathBuf,
+    #[command(flatten)]
+    traced: Traced,
+}
+
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     cli::run("bvh-experiment", || run(&arguments.experiment))
@@ -78,6 +135,106 @@ fn run(experiment: &Experiment) -> Result<Outcome, Failure> {
             let csv = |out: &mut OutputFile| experiment::write_csv(&rows, out);
             options.common.write("blend", csv, &experiment::blend::figure(&rows))
         }
+        Experiment::Alpha(scene) => {
+            let rows = scene.traced.with(&scene.scene, scene.rays(), |_, trace| {
+                experiment::alpha::run(trace, &scene.traced.settings(1))
+            })?;
+            let csv = |out: &mut OutputFile| experiment::alpha::write_csv(&rows, out);
+            scene.traced.common.write("alpha", csv, &experiment::alpha::figure(&rows, &scene.name()))
+        }
+        Experiment::Traversal(scene) => {
+            let rows = scene
+                .traced
+                .with(&scene.scene, scene.rays(), |_, trace| experiment::traversal::run(trace))?;
+            let csv = |out: &mut OutputFile| experiment::traversal::write_csv(&rows, out);
+            scene.traced.common.write("traversal", csv, &experiment::traversal::figure(&rows, &scene.name()))
+        }
+        Experiment::StaticCost(scene) => {
+            let rows = scene
+                .traced
+                .with(&scene.scene, scene.rays(), |_, trace| experiment::static_cost::run(trace))?;
+            let common = &scene.traced.common;
+            let csv = |out: &mut OutputFile| experiment::static_cost::write_csv(&rows, out);
+            common.write("static-cost", csv, &experiment::static_cost::scatter(&rows, &scene.name()))?;
+            common.write_figure(
+                "static-cost-siblings",
+                &experiment::static_cost::siblings(&rows, &scene.name()),
+            )
+        }
+        Experiment::Sampling(Sampling { scene, trials }) => {
+            let rows = scene.traced.with(&scene.scene, scene.rays(), |_, trace| {
+                experiment::sampling::run(trace, &scene.traced.settings(*trials))
+            })?;
+            let csv = |out: &mut OutputFile| experiment::sampling::write_csv(&rows, out);
+            scene.traced.common.write("sampling", csv, &experiment::sampling::figure(&rows, &scene.name()))
+        }
+        Experiment::Scenes(options) => {
+            let mut rows = Vec::new();
+            for path in recordings(&options.directory)? {
+                let name = name(&path);
+                rows.extend(options.traced.with(&path, path.with_extension("rays"), |bvh, trace| {
+                    experiment::scenes::run(&name, bvh.tree, trace, &options.traced.settings(1))
+                })?);
+            }
+            write!(std::io::stdout(), "{}", experiment::scenes::markdown(&rows))?;
+            let csv = |out: &mut OutputFile| experiment::scenes::write_csv(&rows, out);
+            options.traced.common.write("scenes", csv, &experiment::scenes::figure(&rows))
+        }
+    }
+}
+
+/// What figures call a scene: its file without folder and extension.
+fn name(path: &Path) -> String {
+    path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// The .bvh files of a folder that have a .rays, by name.
+fn recordings(directory: &Path) -> Result<Vec<PathBuf>, Failure> {
+    let read = || -> std::io::Result<Vec<PathBuf>> {
+        std::fs::read_dir(directory)?.map(|entry| entry.map(|entry| entry.path())).collect()
+    };
+    let mut paths = read().map_err(|error| FileError::new(directory, "list", error))?;
+    paths
+        .retain(|path| path.extension().is_some_and(|e| e == "bvh") && path.with_extension("rays").is_file());
+    paths.sort();
+    if paths.is_empty() {
+        let what = "no .bvh with a .rays of the same name; record scenes there with embree-trace --savetrace";
+        return Err(Failure::new(format!("{}: {what}", directory.display())));
+    }
+    Ok(paths)
+}
+
+impl Scene {
+    fn rays(&self) -> PathBuf {
+        self.rays.clone().unwrap_or_else(|| self.scene.with_extension("rays"))
+    }
+
+    fn name(&self) -> String {
+        name(&self.scene)
+    }
+}
+
+impl Traced {
+    fn settings(&self, trials: u64) -> Settings {
+        Settings { quick: self.common.quick, seed: self.common.seed, trials }
+    }
+
+    /// Maps both files and runs `work` on what they hold.
+    fn with<T>(
+        &self,
+        bvh_path: &Path,
+        rays_path: PathBuf,
+        work: impl FnOnce(&Bvh, &Trace) -> Result<T, ExperimentError>,
+    ) -> Result<T, Failure> {
+        let (bvh_file, rays_file) = (MappedFile::open(bvh_path)?, MappedFile::open(&rays_path)?);
+        let at =
+            |path: &Path, error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", path.display()));
+        let bvh = Bvh::parse(&bvh_file).map_err(|error| at(bvh_path, &error))?;
+        let rays = Rays::parse(&rays_file).map_err(|error| at(&rays_path, &error))?;
+        let queries = if self.common.quick { self.queries.min(32_768) } else { self.queries };
+        let trace =
+            Trace::new(&bvh, &rays, queries, self.common.seed).map_err(|error| at(&rays_path, &error))?;
+        work(&bvh, &trace).map_err(|error| at(&rays_path, &error))
     }
 }
 
@@ -94,7 +251,7 @@ impl Generated {
 }
 
 impl Common {
-    /// Writes NAME.csv, NAME.svg and NAME.png, and says where they are.
+    /// Writes `name`.csv, .svg and .png, and says where they are.
     fn write(
         &self,
         name: &str,
@@ -106,9 +263,15 @@ impl Common {
         let mut file = OutputFile::create(&path)?;
         csv(&mut file).map_err(|error| file.write_error(error))?;
         file.commit()?;
+        writeln!(std::io::stdout(), "{}", path.display())?;
+        self.write_figure(name, figure)
+    }
+
+    fn write_figure(&self, name: &str, figure: &Figure) -> Result<Outcome, Failure> {
         figure.write(&self.out, name)?;
-        let at = |extension: &str| self.out.join(format!("{name}.{extension}")).display().to_string();
-        writeln!(std::io::stdout(), "{}\n{}\n{}", at("csv"), at("svg"), at("png"))?;
+        for extension in ["svg", "png"] {
+            writeln!(std::io::stdout(), "{}", self.out.join(format!("{name}.{extension}")).display())?;
+        }
         Ok(Outcome::Good)
     }
 }
