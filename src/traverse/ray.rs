@@ -34,9 +34,9 @@ pub struct PreparedRay {
     /// 1 / direction, for distances to near faces.
     pub(crate) near_inverse: Vec3,
     /// 1 / direction, padded, for distances to far faces.
-    pub(super) far_inverse: Vec3,
+    pub(crate) far_inverse: Vec3,
     /// Per axis: 1 when the ray runs downwards, so that a box's upper face is the near one.
-    pub(super) downwards: [usize; 3],
+    pub(crate) downwards: [usize; 3],
 }
 
 impl PreparedRay {
