@@ -11,6 +11,7 @@ pub mod candidates;
 pub mod form;
 pub mod groups;
 mod leaf;
+pub mod masks;
 pub mod observer;
 mod odf;
 pub mod overlap;
@@ -22,6 +23,7 @@ pub mod triangle;
 
 pub use candidates::{All, Candidates, Recorded};
 pub use form::Link;
+pub use masks::Masks;
 pub use observer::{Counts, Observer, Path, Step};
 pub use overlap::{Overlap, Overlapped};
 pub use ray::PreparedRay;
@@ -221,25 +223,4 @@ fn stack_size(tree: TreeView) -> usize {
         waiting[node.range()].fill(below);
     }
     most + widest + 1
-}
-
-/// Finds a triangle's mask.
-struct Masks<'a> {
-    geometries: Vec<&'a Geometry>,
-}
-
-impl<'a> Masks<'a> {
-    fn new(geometries: &'a [Geometry]) -> Masks<'a> {
-        let mut geometries: Vec<&Geometry> = geometries.iter().filter(|g| g.triangle_count > 0).collect();
-        geometries.sort_by_key(|geometry| geometry.first_triangle);
-        Masks { geometries }
-    }
-
-    fn of(&self, triangle: u32) -> u32 {
-        let after = self.geometries.partition_point(|geometry| geometry.first_triangle <= triangle);
-        match after.checked_sub(1).map(|index| self.geometries[index]) {
-            Some(geometry) if triangle - geometry.first_triangle < geometry.triangle_count => geometry.mask,
-            _ => u32::MAX,
-        }
-    }
 }

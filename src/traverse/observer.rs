@@ -82,3 +82,11 @@ impl Observer for Path {
         self.steps.push(Step::Triangle(triangle.index));
     }
 }
+
+impl std::ops::AddAssign for Counts {
+    fn add_assign(&mut self, other: Counts) {
+        self.box_tests += other.box_tests;
+        self.node_visits += other.node_visits;
+        self.primitive_tests += other.primitive_tests;
+    }
+}

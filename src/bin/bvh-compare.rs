@@ -1,0 +1,199 @@
+//! `bvh-compare A.bvh B.bvh … RAYS`: the same recorded queries over several trees.
+
+use clap::{Parser, ValueEnum};
+use embree_trace::cli::{self, Failure, Outcome};
+use embree_trace::compare::{self, Candidate, Comparison, Costs, Settings};
+use embree_trace::files::{FileError, MappedFile};
+use embree_trace::format::bvh::Bvh;
+use embree_trace::format::rays::Rays;
+use embree_trace::progress::Progress;
+use embree_trace::replay::pixels::ImageSize;
+use embree_trace::replay::select::Filter;
+use embree_trace::report::{csv, heatmap, json, table};
+use embree_trace::traverse::Traversal;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+const PROGRAM: &str = "bvh-compare";
+
+const EXAMPLES: &str = "\
+Examples:
+  bvh-compare built.bvh ours.bvh casts.rays
+  bvh-compare built.bvh ours.bvh casts.rays --filter purpose=shadow,depth=1.. --format json
+  bvh-compare built.bvh ours.bvh casts.rays --sample 100000 --fail-above 1.02
+  bvh-compare built.bvh ours.bvh casts.rays --heatmap pictures --size 640x480
+
+Filters are conditions joined by commas: purpose=camera+diffuse (unknown, camera, shadow, ao, diffuse,
+specular), kind=closest or kind=occlusion, depth=1.. (also 2, 0..3 without 3, 0..=2, unknown), path=0..640.
+
+Exit code 0: every answer is right. 1: a wrong answer, or a tree above --fail-above. 2: bad input.";
+
+/// Replays recorded ray queries over trees, counts what each costs, and checks every answer.
+#[derive(Parser)]
+#[command(name = PROGRAM, version, after_help = EXAMPLES)]
+struct Arguments {
+    /// One or more trees (.bvh), then the recording (.rays)
+    #[arg(required = true, num_args = 2.., value_names = ["BVH", "RAYS"])]
+    files: Vec<PathBuf>,
+
+    /// Orders of traversal; the first one decides --fail-above
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = Traversal::ALL)]
+    traversal: Vec<Traversal>,
+
+    /// What a box test costs
+    #[arg(long, default_value_t = 1.0, value_parser = cost)]
+    ci: f64,
+
+    /// What a primitive test costs
+    #[arg(long, default_value_t = 1.0, value_parser = cost)]
+    cp: f64,
+
+    #[arg(long, value_enum, default_value_t = Format::Table)]
+    format: Format,
+
+    /// Exit with 1 when a tree's cost, under the first traversal, exceeds RATIO times the first tree's
+    #[arg(long, value_name = "RATIO", value_parser = cost)]
+    fail_above: Option<f64>,
+
+    /// Replay only N queries, spread over the recording, always the same ones
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    sample: Option<u64>,
+
+    /// Replay only these queries (see below)
+    #[arg(long, default_value = "", hide_default_value = true)]
+    filter: Filter,
+
+    /// Replay the queries of this scene, when the recording holds several
+    #[arg(long, default_value_t = 0)]
+    scene: u16,
+
+    /// Threads; 0: as many as there are processors
+    #[arg(long, default_value_t = 0)]
+    threads: usize,
+
+    /// Write a picture of the cost per pixel for each tree and traversal to DIR
+    #[arg(long, value_name = "DIR")]
+    heatmap: Option<PathBuf>,
+
+    /// Size of the traced image, where the trees do not say
+    #[arg(long, value_name = "WxH", value_parser = image_size)]
+    size: Option<ImageSize>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    Table,
+    Json,
+    Csv,
+}
+
+fn cost(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
+        _ => Err("expected a number, 0 or greater".to_owned()),
+    }
+}
+
+fn image_size(text: &str) -> Result<ImageSize, String> {
+    let (width, height) = text.split_once(['x', 'X']).ok_or("expected WIDTHxHEIGHT, such as 640x480")?;
+    let number = |text: &str| text.parse().map_err(|_| format!("\"{text}\" is not a number of pixels"));
+    ImageSize::new(number(width)?, number(height)?).map_err(|error| error.to_string())
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    cli::run(PROGRAM, || run(&arguments))
+}
+
+fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
+    let Some((rays_path, tree_paths)) = arguments.files.split_last() else {
+        return Err(Failure::new("expected trees and a recording"));
+    };
+    let rays_file = MappedFile::open(rays_path)?;
+    let rays = Rays::parse(&rays_file).map_err(|error| at(rays_path, error))?;
+    let files = tree_paths.iter().map(|path| MappedFile::open(path)).collect::<Result<Vec<_>, _>>()?;
+    let trees = tree_paths
+        .iter()
+        .zip(&files)
+        .map(|(path, file)| Bvh::parse(file).map_err(|error| at(path, error)))
+        .collect::<Result<Vec<_>, _>>()?;
+    let candidates: Vec<Candidate> = tree_paths
+        .iter()
+        .zip(&trees)
+        .map(|(path, bvh)| Candidate { path: path.display().to_string(), bvh })
+        .collect();
+    let rays_name = rays_path.display().to_string();
+    if let Some(warning) = compare::check_scenes(&candidates, &rays_name, &rays)? {
+        warn(&warning);
+    }
+    if let Some(recovery) = &rays.recovery {
+        let (queries, lost) = (recovery.queries, recovery.lost_bytes);
+        warn(&format!(
+            "{rays_name}: the recording was cut off; {queries} queries recovered, {lost} bytes lost"
+        ));
+    }
+
+    let mut traversals = arguments.traversal.clone();
+    let mut seen = Vec::new();
+    traversals.retain(|traversal| {
+        !seen.contains(traversal) && {
+            seen.push(*traversal);
+            true
+        }
+    });
+    // Sizes help to name pixels, but only pictures cannot do without.
+    let image = arguments.size.or_else(|| trees.iter().find_map(compare::image_size));
+    if arguments.heatmap.is_some() && image.is_none() {
+        return Err(Failure::new(
+            "--heatmap needs the size of the traced image, which no tree says; give --size WxH",
+        ));
+    }
+    let settings = Settings {
+        traversals,
+        costs: Costs { c_i: arguments.ci, c_p: arguments.cp },
+        scene: arguments.scene,
+        filter: arguments.filter.clone(),
+        sample: arguments.sample,
+        image,
+        pixels: arguments.heatmap.is_some(),
+    };
+    let steps = rays.query_count() * (trees.len() * settings.traversals.len()) as u64;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(arguments.threads).build()?;
+    let progress = Progress::new("replaying", steps);
+    let comparison =
+        pool.install(|| compare::compare(&candidates, &rays_name, &rays, settings, &progress))?;
+    drop(progress);
+
+    if let Some(directory) = &arguments.heatmap {
+        write_pictures(directory, &comparison)?;
+    }
+    let mut failures = comparison.failures();
+    failures.extend(arguments.fail_above.into_iter().flat_map(|limit| comparison.above(limit)));
+    let text = match arguments.format {
+        Format::Table => table::render(&comparison),
+        Format::Json => json::render(&comparison, &rays_name, &failures)? + "\n",
+        Format::Csv => csv::render(&comparison),
+    };
+    failures.iter().for_each(|line| eprintln!("{PROGRAM}: failed: {line}"));
+    std::io::stdout().lock().write_all(text.as_bytes())?;
+    Ok(if failures.is_empty() { Outcome::Good } else { Outcome::Failed })
+}
+
+fn at(path: &Path, error: impl std::error::Error) -> Failure {
+    Failure::new(format!("{}: {error}", path.display()))
+}
+
+fn warn(line: &str) {
+    eprintln!("{PROGRAM}: warning: {line}");
+}
+
+fn write_pictures(directory: &Path, comparison: &Comparison) -> Result<(), Failure> {
+    std::fs::create_dir_all(directory).map_err(|error| FileError::new(directory, "make", error))?;
+    for map in heatmap::render(comparison) {
+        let path = directory.join(&map.file_name);
+        map.picture.save(&path).map_err(|error| at(&path, error))?;
+    }
+    eprintln!("{PROGRAM}: heat maps are in {}", directory.display());
+    Ok(())
+}

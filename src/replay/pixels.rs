@@ -1,0 +1,72 @@
+//! Costs per pixel, for heat maps: summed by all threads into one image.
+
+use crate::traverse::Counts;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use thiserror::Error;
+
+/// Most pixels of an image: 16 bytes each, so half a gigabyte.
+const MOST_PIXELS: u64 = 1 << 25;
+
+/// Width and height of the traced image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ImageSize {
+    pub width: u32,
+    pub height: u32,
+}
+
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[error("image size {width}x{height}: expected 1x1 to 33554432 pixels")]
+pub struct SizeError {
+    width: u32,
+    height: u32,
+}
+
+impl ImageSize {
+    pub fn new(width: u32, height: u32) -> Result<ImageSize, SizeError> {
+        match u64::from(width) * u64::from(height) {
+            1..=MOST_PIXELS => Ok(ImageSize { width, height }),
+            _ => Err(SizeError { width, height }),
+        }
+    }
+
+    /// x and y of a record's path, if it is a pixel of this image.
+    pub fn pixel(self, path: u32) -> Option<(u32, u32)> {
+        let (x, y) = (path % self.width, path / self.width);
+        (y < self.height).then_some((x, y))
+    }
+}
+
+/// Tests per pixel.
+#[derive(Debug)]
+pub struct Pixels {
+    pub size: ImageSize,
+    box_tests: Vec<AtomicU64>,
+    primitive_tests: Vec<AtomicU64>,
+}
+
+impl Pixels {
+    pub fn new(size: ImageSize) -> Pixels {
+        let zeros = || (0..size.width as usize * size.height as usize).map(|_| AtomicU64::new(0)).collect();
+        Pixels { size, box_tests: zeros(), primitive_tests: zeros() }
+    }
+
+    /// Adds what a query of pixel `path` cost; a path outside of the image is not counted.
+    pub fn add(&self, path: u32, counts: &Counts) {
+        let at = path as usize;
+        if let (Some(boxes), Some(primitives)) = (self.box_tests.get(at), self.primitive_tests.get(at)) {
+            boxes.fetch_add(counts.box_tests, Relaxed);
+            primitives.fetch_add(counts.primitive_tests, Relaxed);
+        }
+    }
+
+    /// `c_i` · box tests + `c_p` · primitive tests of every pixel, row by row.
+    pub fn costs(&self, c_i: f64, c_p: f64) -> Vec<f64> {
+        self.box_tests
+            .iter()
+            .zip(&self.primitive_tests)
+            .map(|(boxes, primitives)| {
+                c_i * boxes.load(Relaxed) as f64 + c_p * primitives.load(Relaxed) as f64
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,234 @@
+//! Sums over queries: costs, their distribution, and how the answers compare. Sums of integers, so their order, and with it the
+//! number of threads, changes nothing.
+
+use super::check::Verdict;
+use crate::format::rays::{Purpose, Record};
+use crate::traverse::{Counts, Overlap};
+use std::collections::BTreeMap;
+
+/// How often each value occurred: exactly below 2048, to within 1/1024 above. Grows as needed, to 24,576 places at most.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Histogram {
+    places: Vec<u64>,
+    count: u64,
+}
+
+/// Places per power of two above the exact ones.
+const STEPS: u64 = 1024;
+
+impl Histogram {
+    /// Counts `value`; above 2³² as 2³².
+    pub fn add(&mut self, value: u64) {
+        let place = Self::place(value.min(1 << 32));
+        if place >= self.places.len() {
+            self.places.resize(place + 1, 0);
+        }
+        self.places[place] += 1;
+        self.count += 1;
+    }
+
+    fn place(value: u64) -> usize {
+        // The 11 leading bits, and how far they had to be shifted.
+        let shift = (64 - value.leading_zeros()).saturating_sub(11);
+        (u64::from(shift) * STEPS + (value >> shift)) as usize
+    }
+
+    /// The smallest value counted at a place.
+    fn value(place: usize) -> u64 {
+        let place = place as u64;
+        let shift = (place / STEPS).saturating_sub(1);
+        (place - shift * STEPS) << shift
+    }
+
+    /// The smallest value that at least `fraction` of the counted values do not exceed; 0 when none was counted.
+    pub fn quantile(&self, fraction: f64) -> u64 {
+        let rank = ((fraction * self.count as f64).ceil() as u64).max(1);
+        let mut below = 0;
+        for (place, &count) in self.places.iter().enumerate() {
+            below += count;
+            if below >= rank {
+                return Self::value(place);
+            }
+        }
+        0
+    }
+
+    fn merge(&mut self, other: &Histogram) {
+        if self.places.len() < other.places.len() {
+            self.places.resize(other.places.len(), 0);
+        }
+        for (sum, count) in self.places.iter_mut().zip(&other.places) {
+            *sum += count;
+        }
+        self.count += other.count;
+    }
+}
+
+/// Everything that is known of a group of queries.
+#[derive(Clone, Debug, Default)]
+pub struct Tally {
+    pub queries: u64,
+    /// Queries that hit something, or were occluded.
+    pub hits: u64,
+    pub counts: Counts,
+    pub box_tests: Histogram,
+    pub node_visits: Histogram,
+    pub primitive_tests: Histogram,
+    pub mismatches: u64,
+    pub borderline: u64,
+    /// Answers that triangles cannot decide: the recorded program hit something else.
+    pub unchecked: u64,
+    /// Terms of T_R and Γ_R; zero when they were not asked for.
+    pub overlap: Overlap,
+    /// Traversal only, counting included; summed over threads.
+    pub seconds: f64,
+}
+
+/// One replayed query.
+#[derive(Clone, Copy, Debug)]
+pub struct Replayed {
+    pub hit: bool,
+    pub counts: Counts,
+    pub verdict: Verdict,
+    pub overlap: Overlap,
+}
+
+impl Tally {
+    pub fn add(&mut self, query: &Replayed) {
+        self.queries += 1;
+        self.hits += query.hit as u64;
+        self.counts += query.counts;
+        self.box_tests.add(query.counts.box_tests);
+        self.node_visits.add(query.counts.node_visits);
+        self.primitive_tests.add(query.counts.primitive_tests);
+        match query.verdict {
+            Verdict::Agrees => {}
+            Verdict::Borderline => self.borderline += 1,
+            Verdict::Mismatch => self.mismatches += 1,
+            Verdict::Unchecked => self.unchecked += 1,
+        }
+        self.overlap += query.overlap;
+    }
+
+    pub fn merge(&mut self, other: &Tally) {
+        self.queries += other.queries;
+        self.hits += other.hits;
+        self.counts += other.counts;
+        self.box_tests.merge(&other.box_tests);
+        self.node_visits.merge(&other.node_visits);
+        self.primitive_tests.merge(&other.primitive_tests);
+        self.mismatches += other.mismatches;
+        self.borderline += other.borderline;
+        self.unchecked += other.unchecked;
+        self.overlap += other.overlap;
+        self.seconds += other.seconds;
+    }
+}
+
+/// In which of the groups a query falls: (kind, depth, purpose), as bytes of its record.
+pub type Cell = (u8, u8, Purpose);
+
+/// The cell of a record.
+pub fn cell(record: &Record) -> Cell {
+    (record.kind, record.depth, Purpose::from_byte(record.purpose))
+}
+
+/// Tallies of all queries, and by each of the ways to group them.
+#[derive(Clone, Debug, Default)]
+pub struct Tallies {
+    pub total: Tally,
+    pub by_kind: BTreeMap<u8, Tally>,
+    pub by_depth: BTreeMap<u8, Tally>,
+    pub by_purpose: BTreeMap<Purpose, Tally>,
+}
+
+impl Tallies {
+    /// Adds what was found for queries of one cell, which took `seconds`.
+    pub fn add(&mut self, (kind, depth, purpose): Cell, queries: &[Replayed], seconds: f64) {
+        for tally in [
+            &mut self.total,
+            self.by_kind.entry(kind).or_default(),
+            self.by_depth.entry(depth).or_default(),
+            self.by_purpose.entry(purpose).or_default(),
+        ] {
+            queries.iter().for_each(|query| tally.add(query));
+            tally.seconds += seconds;
+        }
+    }
+
+    pub fn merge(mut self, other: Tallies) -> Tallies {
+        fn merge_all<K: Ord>(into: &mut BTreeMap<K, Tally>, from: BTreeMap<K, Tally>) {
+            for (key, tally) in from {
+                into.entry(key).or_default().merge(&tally);
+            }
+        }
+        self.total.merge(&other.total);
+        merge_all(&mut self.by_kind, other.by_kind);
+        merge_all(&mut self.by_depth, other.by_depth);
+        merge_all(&mut self.by_purpose, other.by_purpose);
+        self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_those_of_the_sorted_values() {
+        for scale in [1u64, 7, 1_000, 1_000_000] {
+            let mut values: Vec<u64> = (0..1000u64).map(|i| (i * 7919 % 1009) * scale).collect();
+            let mut histogram = Histogram::default();
+            values.iter().for_each(|&value| histogram.add(value));
+            values.sort();
+            for (fraction, index) in [(0.5, 499), (0.99, 989), (1.0, 999), (0.0, 0), (0.001, 0)] {
+                let (exact, found) = (values[index], histogram.quantile(fraction));
+                assert!(found <= exact && exact - found <= exact / 1024, "{fraction}: {found} for {exact}");
+                assert!(exact >= 2048 || found == exact);
+            }
+        }
+    }
+
+    #[test]
+    fn places_follow_each_other() {
+        let mut last = 0;
+        for value in (0..10_000).chain((14..53).map(|bit| 1 << bit)) {
+            let place = Histogram::place(value);
+            assert!(Histogram::value(place) <= value);
+            if value < 10_000 {
+                assert!(place == last || place == last + 1);
+                last = place;
+            }
+        }
+        let mut histogram = Histogram::default();
+        histogram.add(u64::MAX);
+        assert_eq!(histogram.quantile(1.0), 1 << 32);
+        assert_eq!(Histogram::default().quantile(0.5), 0);
+    }
+
+    #[test]
+    fn merging_is_adding() {
+        let query = |n: u64| Replayed {
+            hit: n % 2 == 0,
+            counts: Counts { box_tests: n, node_visits: n / 2, primitive_tests: 3 },
+            verdict: [Verdict::Agrees, Verdict::Borderline, Verdict::Mismatch, Verdict::Unchecked]
+                [n as usize % 4],
+            overlap: Overlap { inner: n, children: 2 * n, primitives: 1 },
+        };
+        let cells = [(0, 0, Purpose::Camera), (1, 1, Purpose::Shadow)];
+        let mut whole = Tallies::default();
+        let (mut one, mut two) = (Tallies::default(), Tallies::default());
+        for n in 0..100 {
+            let cell = cells[n as usize % 2];
+            whole.add(cell, &[query(n)], 0.5);
+            if n < 33 { &mut one } else { &mut two }.add(cell, &[query(n)], 0.5);
+        }
+        let merged = one.merge(two);
+        assert_eq!(format!("{merged:?}"), format!("{whole:?}"));
+        assert_eq!(merged.total.queries, 100);
+        assert_eq!(merged.total.counts.box_tests, 4950);
+        assert_eq!((merged.total.mismatches, merged.total.borderline, merged.total.unchecked), (25, 25, 25));
+        assert_eq!(merged.by_purpose[&Purpose::Shadow].queries, 50);
+        assert_eq!(merged.total.seconds, 50.0);
+    }
+}

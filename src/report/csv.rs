@@ -1,0 +1,82 @@
+//! A comparison as CSV: a row per tree, traversal and group of queries, with the tree's own numbers repeated.
+
+use super::{groups, mean};
+use crate::compare::Comparison;
+use std::fmt::Write;
+
+const COLUMNS: &str = "path,nodes,leaves,depth,max_children,sah_cost,t_r,tree_gamma,traversal,group,name,queries,box_tests,\
+                       node_visits,primitive_tests,mismatches,borderline,seconds,gamma,box_tests_mean,box_tests_median,\
+                       box_tests_p99,node_visits_mean,node_visits_median,node_visits_p99,primitive_tests_mean,\
+                       primitive_tests_median,primitive_tests_p99";
+
+/// The whole comparison, a header line first.
+pub fn render(comparison: &Comparison) -> String {
+    let costs = &comparison.settings.costs;
+    let mut text = format!("{COLUMNS}\n");
+    for tree in &comparison.trees {
+        let s = &tree.statistics;
+        let own = format!(
+            "{},{},{},{},{},{},{},{}",
+            quoted(&tree.path),
+            s.nodes,
+            s.leaves,
+            s.depth,
+            s.max_children,
+            tree.sah_cost,
+            tree.t_r(),
+            tree.gamma(costs)
+        );
+        for run in &tree.runs {
+            for group in groups(&run.outcome.tallies) {
+                let tally = group.tally;
+                let counts = &tally.counts;
+                // Writing to a String cannot fail.
+                let _ = write!(
+                    text,
+                    "{own},{},{},{},{},{},{},{},{},{},{},{}",
+                    run.traversal.key(),
+                    group.by,
+                    group.name,
+                    tally.queries,
+                    counts.box_tests,
+                    counts.node_visits,
+                    counts.primitive_tests,
+                    tally.mismatches,
+                    tally.borderline,
+                    tally.seconds,
+                    costs.gamma(tally),
+                );
+                for (sum, histogram) in [
+                    (counts.box_tests, &tally.box_tests),
+                    (counts.node_visits, &tally.node_visits),
+                    (counts.primitive_tests, &tally.primitive_tests),
+                ] {
+                    let (median, p99) = (histogram.quantile(0.5), histogram.quantile(0.99));
+                    let _ = write!(text, ",{},{median},{p99}", mean(sum, tally.queries));
+                }
+                text.push('\n');
+            }
+        }
+    }
+    text
+}
+
+/// A field that may hold commas, quotes or line breaks.
+fn quoted(field: &str) -> String {
+    if field.contains([',', '"', '\n', '\r']) {
+        format!("\"{}\"", field.replace('"', "\"\""))
+    } else {
+        field.to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn awkward_paths_stay_one_field() {
+        assert_eq!(quoted("a/b.bvh"), "a/b.bvh");
+        assert_eq!(quoted("a,\"b\".bvh"), "\"a,\"\"b\"\".bvh\"");
+    }
+}
