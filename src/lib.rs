@@ -32,11 +32,13 @@ pub mod mesh;
 pub mod optimize;
 pub mod probability;
 pub mod progress;
+pub mod recipe;
 #[cfg(feature = "embree")]
 pub mod record;
 #[cfg(feature = "embree")]
 pub mod render;
 pub mod replay;
 pub mod report;
+pub mod training;
 pub mod traverse;
 pub mod tree;
