@@ -7,6 +7,7 @@
 //! | shapes | [`geometry`], [`tree`] | boxes, rays, triangles; nodes as they stand in a file |
 //! | scenes | [`mesh`] | triangles from OBJ, PLY and generators |
 //! | formats | [`format`] | `.rays` and `.bvh`, each read and written in one place |
+//! | Embree | `embree` (feature) | queries, recording, and Embree's own trees |
 //!
 //! # Invariants
 //!
