@@ -9,6 +9,7 @@
 //! | building | [`builder`], [`probability`] | trees from triangles, and how likely a box is hit |
 //! | formats | [`format`] | `.rays` and `.bvh`, each read and written in one place |
 //! | experiments | [`experiment`], [`report`] | the figures of the paper, as CSV and plots |
+//! | Embree | `embree` (feature) | queries, recording, and Embree's own trees |
 //!
 //! # Invariants
 //!
