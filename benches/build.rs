@@ -24,6 +24,7 @@ use std::hint::black_box;
 use std::path::Path;
 use std::time::Instant;
 
+/// Rounds, unless the environment variable ROUNDS says another number.
 const ROUNDS: usize = 7;
 const THREADS: [usize; 2] = [1, 2];
 
@@ -77,10 +78,11 @@ fn compare(name: &str, triangles: &[Triangle]) {
     let pools = THREADS.map(|threads| {
         ThreadPoolBuilder::new().num_threads(threads).build().expect("threads can be started")
     });
+    let rounds = std::env::var("ROUNDS").ok().and_then(|text| text.parse().ok()).unwrap_or(ROUNDS).max(1);
     let mut contenders = contenders(triangles);
     // Processor seconds on one thread, then wall seconds for each number of threads.
     let mut seconds = vec![[const { Vec::new() }; 1 + THREADS.len()]; contenders.len()];
-    for _ in 0..ROUNDS {
+    for _ in 0..rounds {
         for (column, pool) in pools.iter().enumerate() {
             for ((_, run), seconds) in contenders.iter_mut().zip(&mut seconds) {
                 let took = run(pool, false).0;
@@ -91,7 +93,7 @@ fn compare(name: &str, triangles: &[Triangle]) {
             }
         }
     }
-    println!("\n{name}, {} triangles: median of {ROUNDS} rounds", triangles.len());
+    println!("\n{name}, {} triangles: median of {rounds} rounds", triangles.len());
     println!(
         "{:<24}{:>10}{:>10}{:>10}{:>10}{:>7}{:>10}",
         "", "processor", "1 thread", "2 threads", "SAH cost", "depth", "nodes"

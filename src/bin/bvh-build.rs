@@ -54,7 +54,7 @@ struct Arguments {
     /// The count in a side's cost: n-1 or n
     #[arg(long, default_value = "n-1", value_name = "COUNT")]
     count: Count,
-    /// Most triangles in a leaf; above 1, leaves are made where a split would not lower the SAH cost
+    /// Most triangles in a leaf; above 1, subtrees become leaves where that does not raise the SAH cost
     #[arg(long, default_value_t = 1, value_name = "N")]
     max_leaf: usize,
     /// Cost of a box test, for the SAH cost that is printed and for leaves

@@ -162,23 +162,18 @@ impl<const N: usize> Histogram<N> {
                 let cost = weight.of(left_count) * left + weight.of(right_count) * right;
                 if cost < least {
                     least = cost;
-                    best = Some((axis, candidate, left_count, left, right));
+                    best = Some((axis, candidate, left_count));
                 }
             }
         }
-        let (axis, candidate, left_count, left, right) = best?;
+        let (axis, candidate, left_count) = best?;
         let around = |bins: &[PaddedAabb]| bins.iter().fold(PaddedAabb::EMPTY, |sum, bin| sum.union(bin));
         Some(Split {
             plane: Plane::Bin { axis, bin: candidate + 1 },
-            left: Side {
-                primitives: left_count,
-                bounds: around(&self.bounds[axis][..=candidate]),
-                probability: left,
-            },
+            left: Side { primitives: left_count, bounds: around(&self.bounds[axis][..=candidate]) },
             right: Side {
                 primitives: total - left_count,
                 bounds: around(&self.bounds[axis][candidate + 1..bins]),
-                probability: right,
             },
         })
     }
@@ -244,12 +239,8 @@ impl NodeReferences for BinnedReferences<'_> {
         weight: &W,
     ) -> Option<Split<Plane>> {
         if let [left, right] = &*self.list {
-            // Nothing to choose, and half of all inner nodes.
-            let side = |reference: &Reference| {
-                let mut out = [0.0];
-                probability.nested(state, std::iter::once(reference.bounds()), &mut out);
-                Side { primitives: 1, bounds: reference.bounds(), probability: out[0] }
-            };
+            // Nothing to choose, and a third of all inner nodes.
+            let side = |reference: &Reference| Side { primitives: 1, bounds: reference.bounds() };
             return Some(Split { plane: Plane::Middle, left: side(left), right: side(right) });
         }
         // The capacity is a constant so that the many small nodes do not pay for 32 bins.
@@ -273,8 +264,7 @@ impl NodeReferences for BinnedReferences<'_> {
                 at(a).total_cmp(&at(b)).then(a.triangle().cmp(&b.triangle()))
             });
         }
-        let side =
-            |part: &[Reference]| Side { primitives: part.len(), bounds: bounds(part), probability: 0.0 };
+        let side = |part: &[Reference]| Side { primitives: part.len(), bounds: bounds(part) };
         let (left, right) = self.list.split_at(middle);
         Split { plane: Plane::Middle, left: side(left), right: side(right) }
     }
