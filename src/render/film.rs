@@ -108,8 +108,8 @@ pub fn luminance(rgb: Vec3) -> f32 {
 
 /// One channel, tone mapped and in sRGB.
 fn display(x: f32) -> u8 {
-    // Beyond 10,000 it is white anyway, and squares stay finite; `max` turns NaN into 0.
-    let x = x.max(0.0).min(1e4);
+    // Beyond 10,000 it is white anyway, and squares stay finite; NaN is black.
+    let x = if x > 0.0 { x.min(1e4) } else { 0.0 };
     let mapped = (x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14)).min(1.0);
     let encoded = if mapped <= 0.003_130_8 { 12.92 * mapped } else { 1.055 * mapped.powf(1.0 / 2.4) - 0.055 };
     (encoded * 255.0 + 0.5) as u8
