@@ -29,11 +29,11 @@ pub mod inspect;
 pub mod mesh;
 pub mod probability;
 pub mod progress;
-pub mod replay;
-pub mod report;
 #[cfg(feature = "embree")]
 pub mod record;
 #[cfg(feature = "embree")]
 pub mod render;
+pub mod replay;
+pub mod report;
 pub mod traverse;
 pub mod tree;
