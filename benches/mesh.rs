@@ -4,6 +4,7 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use embree_trace::mesh::{generate, obj};
+use embree_trace::progress::Progress;
 use std::hint::black_box;
 use std::path::PathBuf;
 
@@ -22,7 +23,8 @@ fn scenes() -> Vec<(String, Vec<u8>)> {
     }
     if scenes.is_empty() {
         let mut text = Vec::new();
-        obj::write(&generate::courtyard(8, 1), "none.mtl", &mut text, std::io::sink()).expect("a vector");
+        obj::write(&generate::courtyard(8, 1), "none.mtl", &mut text, std::io::sink(), &Progress::hidden())
+            .expect("a vector");
         scenes.push(("courtyard".to_owned(), text));
     }
     scenes

@@ -10,6 +10,8 @@
 
 pub mod binned;
 pub mod cost;
+mod describe;
+pub mod exhaustive;
 mod recursion;
 pub mod reference;
 pub mod sweep;

@@ -60,16 +60,17 @@ impl Deref for MappedFile {
 }
 
 /// A file that appears under its name only when it is whole. Until [`Self::commit`] it is a hidden neighbour, which is
-/// removed when the value is dropped; an older file of the name stays as it is.
+/// removed when the value is dropped; an older file of the name stays as it is. Where the name is a device or a pipe, it is
+/// written straight; where it is a link, the file that it points to is replaced.
 ///
 /// For `.bvh` files, images and reports. A `.rays` is written straight to its path ([`create`]): what a killed
 /// recording leaves there can be read.
 #[derive(Debug)]
 pub struct OutputFile {
     path: PathBuf,
-    neighbour: PathBuf,
+    /// What the neighbour is called now, and what it will be called; `None` when the path is written straight.
+    rename: Option<(PathBuf, PathBuf)>,
     file: File,
-    committed: bool,
 }
 
 impl OutputFile {
@@ -78,18 +79,24 @@ impl OutputFile {
     /// # Errors
     /// When the path is a directory, or its directory does not exist or cannot be written.
     pub fn create(path: &Path) -> Result<OutputFile, FileError> {
-        let unnamed = || FileError::new(path, "create", io::ErrorKind::IsADirectory.into());
-        if path.is_dir() {
-            return Err(unnamed());
+        let error = |error| FileError::new(path, "create", error);
+        match fs::metadata(path) {
+            Ok(metadata) if metadata.is_dir() => return Err(error(io::ErrorKind::IsADirectory.into())),
+            Ok(metadata) if !metadata.is_file() => {
+                let file = File::options().write(true).open(path).map_err(error)?;
+                return Ok(OutputFile { path: path.to_owned(), rename: None, file });
+            }
+            _ => {}
         }
-        let name = path.file_name().ok_or_else(unnamed)?;
+        let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let name = target.file_name().ok_or_else(|| error(io::ErrorKind::IsADirectory.into()))?;
         let neighbour =
-            path.with_file_name(format!(".{}.{}.part", name.to_string_lossy(), std::process::id()));
-        let file = File::create(&neighbour).map_err(|error| FileError::new(path, "create", error))?;
-        Ok(OutputFile { path: path.to_owned(), neighbour, file, committed: false })
+            target.with_file_name(format!(".{}.{}.part", name.to_string_lossy(), std::process::id()));
+        let file = File::create(&neighbour).map_err(error)?;
+        Ok(OutputFile { path: path.to_owned(), rename: Some((neighbour, target)), file })
     }
 
-    /// The error of writing this file: use it for what a library writer returned.
+    /// The error of writing this file: use it for what a library's writer returned.
     pub fn write_error(&self, source: io::Error) -> FileError {
         FileError::new(&self.path, "write", source)
     }
@@ -99,10 +106,10 @@ impl OutputFile {
     /// # Errors
     /// When the system reports a late write error (a full disk), or the name cannot be given.
     pub fn commit(mut self) -> Result<(), FileError> {
-        self.file.sync_data().map_err(|error| FileError::new(&self.path, "write", error))?;
-        fs::rename(&self.neighbour, &self.path)
-            .map_err(|error| FileError::new(&self.path, "rename to", error))?;
-        self.committed = true;
+        let Some((neighbour, target)) = &self.rename else { return Ok(()) };
+        self.file.sync_data().map_err(|error| self.write_error(error))?;
+        fs::rename(neighbour, target).map_err(|error| FileError::new(&self.path, "rename to", error))?;
+        self.rename = None;
         Ok(())
     }
 }
@@ -119,9 +126,9 @@ impl Write for OutputFile {
 
 impl Drop for OutputFile {
     fn drop(&mut self) {
-        if !self.committed {
+        if let Some((neighbour, _)) = &self.rename {
             // Nothing can be done about a neighbour that cannot be removed, and the first error is already on its way.
-            let _ = fs::remove_file(&self.neighbour);
+            let _ = fs::remove_file(neighbour);
         }
     }
 }
@@ -132,4 +139,77 @@ impl Drop for OutputFile {
 /// When the file cannot be made.
 pub fn create(path: &Path) -> Result<File, FileError> {
     File::create(path).map_err(|error| FileError::new(path, "create", error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(directory: &Path) -> Vec<String> {
+        let entries = fs::read_dir(directory).unwrap();
+        let mut names: Vec<String> =
+            entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn an_output_replaces_the_old_file_only_when_committed() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("out.bvh");
+        fs::write(&path, "old").unwrap();
+        let mut output = OutputFile::create(&path).unwrap();
+        output.write_all(b"half").unwrap();
+        drop(output);
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+
+        let mut output = OutputFile::create(&path).unwrap();
+        output.write_all(b"new").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        output.commit().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        assert_eq!(names(directory.path()), ["out.bvh"]);
+    }
+
+    #[test]
+    fn a_link_stays_a_link() {
+        let directory = tempfile::tempdir().unwrap();
+        let (file, link) = (directory.path().join("file"), directory.path().join("link"));
+        fs::write(&file, "old").unwrap();
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        let mut output = OutputFile::create(&link).unwrap();
+        output.write_all(b"new").unwrap();
+        output.commit().unwrap();
+        assert_eq!(fs::read(&file).unwrap(), b"new");
+        assert!(link.is_symlink());
+    }
+
+    #[test]
+    fn what_cannot_be_made_is_named() {
+        let directory = tempfile::tempdir().unwrap();
+        for path in [directory.path().to_owned(), directory.path().join("none/out"), PathBuf::from("/")] {
+            let line = OutputFile::create(&path).unwrap_err().to_string();
+            assert!(line.starts_with(&format!("{}: cannot create: ", path.display())), "{line}");
+        }
+    }
+
+    #[test]
+    fn a_full_disk_is_an_error_with_the_path() {
+        let path = Path::new("/dev/full");
+        let mut output = OutputFile::create(path).unwrap();
+        let error = output.write_all(b"lost").unwrap_err();
+        assert!(output.write_error(error).to_string().starts_with("/dev/full: cannot write: No space left"));
+        assert!(path.exists());
+    }
+
+    #[test]
+    fn what_cannot_be_mapped_is_named() {
+        let directory = tempfile::tempdir().unwrap();
+        assert!(
+            MappedFile::open(&directory.path().join("none")).unwrap_err().to_string().contains("cannot open")
+        );
+        assert!(MappedFile::open(directory.path()).unwrap_err().to_string().contains("not a regular file"));
+        fs::write(directory.path().join("empty"), "").unwrap();
+        assert!(MappedFile::open(&directory.path().join("empty")).unwrap().is_empty());
+    }
 }

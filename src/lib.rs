@@ -8,6 +8,7 @@
 //! | scenes | [`mesh`] | triangles from OBJ, PLY and generators |
 //! | building | [`builder`], [`probability`] | trees from triangles, and how likely a box is hit |
 //! | formats | [`format`] | `.rays` and `.bvh`, each read and written in one place |
+//! | experiments | [`experiment`], [`report`] | the figures of the paper, as CSV and plots |
 //!
 //! # Invariants
 //!
@@ -22,11 +23,13 @@ pub mod compare;
 pub mod diff;
 #[cfg(feature = "embree")]
 pub mod embree;
+pub mod experiment;
 pub mod files;
 pub mod format;
 pub mod geometry;
 pub mod inspect;
 pub mod mesh;
+pub mod optimize;
 pub mod probability;
 pub mod progress;
 #[cfg(feature = "embree")]

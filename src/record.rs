@@ -192,3 +192,167 @@ impl Drop for Unit<'_> {
         let _ = self.queue.put_last(self.index, std::mem::take(&mut self.buffer));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::format::rays::Rays;
+    use std::sync::Mutex;
+    use std::sync::atomic::{AtomicU64, Ordering};
+
+    /// A file in memory that is full after some bytes.
+    #[derive(Clone, Default)]
+    struct Disk(Arc<Mutex<Vec<u8>>>, Option<usize>);
+
+    impl Write for Disk {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            let mut file = self.0.lock().unwrap();
+            let room = self.1.unwrap_or(usize::MAX) - file.len();
+            if room == 0 {
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+            let taken = bytes.len().min(room);
+            file.extend_from_slice(&bytes[..taken]);
+            Ok(taken)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    fn record(number: u64) -> Record {
+        let mut record: Record = bytemuck::Zeroable::zeroed();
+        record.path = number as u32;
+        record.tfar = 1.0;
+        record.t = f32::INFINITY;
+        record.triangle = crate::format::rays::NO_TRIANGLE;
+        record
+    }
+
+    /// Records of unit `index`: none, few, or more than two chunks, in batches.
+    fn fill(unit: &mut Unit, index: u64) -> Result<(), Stop> {
+        let count = [0, 100, 70_000, 5, 200_000, 1000][index as usize % 6];
+        let records: Vec<Record> = (0..count).map(|n| record(index << 24 | n)).collect();
+        records.chunks(512).try_for_each(|batch| unit.batch(batch, &[]))
+    }
+
+    fn header() -> Header {
+        Header { fingerprint: 7, embree_version: 31305, deterministic: true, producer: "test".into() }
+    }
+
+    fn run(disk: Disk, threads: usize, codec: Codec) -> Result<Totals, RecordError> {
+        let recorder = Recorder::start(disk, &header(), codec, threads)?;
+        let next = Mutex::new(0u64);
+        let stopped = AtomicU64::new(0);
+        std::thread::scope(|scope| {
+            for thread in 0..threads {
+                let (next, recorder, stopped) = (&next, &recorder, &stopped);
+                scope.spawn(move || {
+                    loop {
+                        let (index, mut unit) = {
+                            let mut next = next.lock().unwrap();
+                            if *next == 24 || recorder.has_failed() {
+                                return;
+                            }
+                            *next += 1;
+                            (*next - 1, recorder.unit(*next - 1))
+                        };
+                        // Some threads are slow, so that units end out of order.
+                        if (index + thread as u64).is_multiple_of(3) {
+                            std::thread::sleep(std::time::Duration::from_millis(3));
+                        }
+                        if fill(&mut unit, index).is_err() {
+                            stopped.fetch_add(1, Ordering::Relaxed);
+                        }
+                    }
+                });
+            }
+        });
+        recorder.finish()
+    }
+
+    #[test]
+    fn bytes_do_not_depend_on_threads() {
+        for codec in [Codec::Raw, Codec::Compressed] {
+            let file = |threads| {
+                let disk = Disk::default();
+                let totals = run(disk.clone(), threads, codec).unwrap();
+                let bytes = disk.0.lock().unwrap().clone();
+                assert_eq!((totals.records, totals.bytes), (4 * 271_105, bytes.len() as u64));
+                bytes
+            };
+            let one = file(1);
+            for threads in [2, 7] {
+                assert!(file(threads) == one, "{threads} threads, {codec:?}");
+            }
+            let rays = Rays::parse(&one).unwrap();
+            assert!(rays.recovery.is_none() && rays.header == header());
+            let mut expected = Vec::new();
+            for index in 0..24 {
+                let count = [0, 100, 70_000, 5, 200_000, 1000][index as usize % 6];
+                expected.extend((0..count).map(|n| (index << 24 | n) as u32));
+            }
+            let mut found = Vec::new();
+            for chunk in 0..rays.chunks().len() {
+                let chunk = rays.chunk(chunk).unwrap();
+                assert_eq!(chunk.info, ChunkInfo { scene: 0, thread: 0, sequence: found.len() as u64 });
+                found.extend(chunk.records.iter().map(|record| record.path));
+            }
+            assert!(found == expected);
+        }
+    }
+
+    /// A full disk stops the units, says how much was kept, and leaves just that to be read.
+    #[test]
+    fn a_full_disk_keeps_what_was_written() {
+        for threads in [1, 3] {
+            for bytes in [63, 64, 100, 10_000_000] {
+                let disk = Disk(Arc::default(), Some(bytes));
+                let error = run(disk.clone(), threads, Codec::Raw).unwrap_err();
+                assert_eq!(error.source.kind(), io::ErrorKind::StorageFull);
+                let file = disk.0.lock().unwrap();
+                if bytes >= 64 {
+                    let rays = Rays::parse(&file).unwrap();
+                    assert_eq!(rays.query_count(), error.written.records, "{bytes}");
+                    assert!(bytes < 1000 || error.written.records > 70_000, "{error}");
+                }
+            }
+        }
+    }
+
+    /// A unit that goes away by a panic does not hold up the others.
+    #[test]
+    fn a_panic_does_not_hang() {
+        let disk = Disk::default();
+        let recorder = Recorder::start(disk.clone(), &header(), Codec::Raw, 2).unwrap();
+        let broken = std::thread::scope(|scope| {
+            let broken = scope.spawn(|| {
+                let mut unit = recorder.unit(0);
+                fill(&mut unit, 1).unwrap();
+                panic!("on purpose");
+            });
+            broken.join()
+        });
+        assert!(broken.is_err());
+        fill(&mut recorder.unit(1), 5).unwrap();
+        assert_eq!(recorder.finish().unwrap().records, 1100);
+    }
+
+    /// Rejects follow their records into the chunk.
+    #[test]
+    fn rejects_are_numbered_by_chunk() {
+        let disk = Disk::default();
+        let recorder = Recorder::start(disk.clone(), &header(), Codec::Raw, 1).unwrap();
+        let mut rejecting = record(1);
+        rejecting.flags |= crate::format::rays::flag::HAS_REJECTS;
+        let mut unit = recorder.unit(0);
+        unit.batch(&[record(0); 10], &[]).unwrap();
+        unit.batch(&[record(0), rejecting], &[Reject { record: 1, triangle: 9 }]).unwrap();
+        drop(unit);
+        recorder.finish().unwrap();
+        let bytes = disk.0.lock().unwrap();
+        let chunk = Rays::parse(&bytes).unwrap().chunk(0).unwrap();
+        assert_eq!(chunk.rejects[..], [Reject { record: 11, triangle: 9 }]);
+    }
+}

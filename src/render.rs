@@ -22,6 +22,8 @@ pub mod scenery;
 pub mod shadow;
 pub mod summary;
 pub mod surface;
+#[cfg(test)]
+mod testing;
 pub mod tiles;
 pub mod workers;
 

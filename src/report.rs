@@ -30,3 +30,6 @@ pub(crate) fn groups(tallies: &Tallies) -> Vec<Group<'_>> {
 pub(crate) fn mean(sum: u64, queries: u64) -> f64 {
     if queries == 0 { 0.0 } else { sum as f64 / queries as f64 }
 }
+//! Results for people: plots that could go in a paper.
+
+pub mod plot;

@@ -1,9 +1,10 @@
 //! Writes a generated scene as OBJ and MTL: for the demo, for tests, and for measuring when no other scene is at hand.
 
 use clap::{Parser, ValueEnum};
-use embree_trace::cli::{self, Failure, Outcome};
+use embree_trace::cli::{self, Failure, Outcome, TextOrJson};
 use embree_trace::files::FileError;
 use embree_trace::mesh::{Mesh, generate, obj};
+use embree_trace::progress::Progress;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -31,6 +32,9 @@ struct Arguments {
     /// Seed of the random numbers, where the scene uses any
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// What to print
+    #[arg(long, value_enum, default_value_t = TextOrJson::Text)]
+    format: TextOrJson,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -79,12 +83,15 @@ fn main() -> ExitCode {
         let mesh = arguments.scene.generate(detail, arguments.seed);
         let library = arguments.output.with_extension("mtl");
         write(&mesh, &arguments.output, &library)?;
-        println!(
-            "{}: {} triangles, {} vertices",
-            arguments.output.display(),
-            mesh.triangle_count(),
-            mesh.vertices.len()
-        );
+        let (triangles, vertices) = (mesh.triangle_count(), mesh.vertices.len());
+        let path = arguments.output.display();
+        match arguments.format {
+            TextOrJson::Text => println!("{path}: {triangles} triangles, {vertices} vertices"),
+            TextOrJson::Json => println!(
+                "{}",
+                serde_json::json!({ "path": path.to_string(), "triangles": triangles, "vertices": vertices })
+            ),
+        }
         Ok(Outcome::Good)
     })
 }
@@ -99,7 +106,8 @@ fn write(mesh: &Mesh, output: &Path, library: &Path) -> Result<(), Failure> {
     let name = library.file_name().unwrap_or_default().to_string_lossy();
     let create = |path: &Path| File::create(path).map_err(|e| FileError::new(path, "create", e));
     let (mut obj_file, mut mtl_file) = (BufWriter::new(create(output)?), BufWriter::new(create(library)?));
-    obj::write(mesh, &name, &mut obj_file, &mut mtl_file)
+    let progress = Progress::new("writing", obj::line_count(mesh) as u64);
+    obj::write(mesh, &name, &mut obj_file, &mut mtl_file, &progress)
         .and_then(|()| obj_file.flush())
         .and_then(|()| mtl_file.flush())
         .map_err(|e| FileError::new(output, "write", e))?;

@@ -16,7 +16,6 @@ use crate::geometry::padded::PaddedAabb;
 use crate::probability::Probability;
 use crate::progress::Progress;
 use crate::tree::{Node, Tree};
-use bytemuck::Zeroable;
 
 /// Subtrees with fewer primitives are built by one thread.
 const SEQUENTIAL: usize = 1 << 12;
@@ -94,7 +93,8 @@ impl<P: Probability, W: Weight> Builder<'_, P, W> {
         let References { mut list, bounds, half_unit } = references;
         match self.config.splits {
             Splits::Binned { bins } => {
-                let mut spare = vec![Reference::zeroed(); list.len()];
+                // Zeroed by the system, page by page when it is first touched, on the thread that does.
+                let mut spare: Vec<Reference> = bytemuck::zeroed_vec(list.len());
                 self.root(BinnedReferences::new(&mut list, &mut spare, half_unit, bins), bounds)
             }
             Splits::Sweep => {
@@ -106,7 +106,7 @@ impl<P: Probability, W: Weight> Builder<'_, P, W> {
 
     fn root<R: NodeReferences>(&self, references: R, bounds: PaddedAabb) -> Tree {
         let count = references.len();
-        let mut nodes = vec![Node::zeroed(); 2 * count - 1];
+        let mut nodes: Vec<Node> = bytemuck::zeroed_vec(2 * count - 1);
         let mut primitives = vec![0; count];
         let state = self.probability.root(&bounds);
         let (root, below) = nodes.split_at_mut(1);

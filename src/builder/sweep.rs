@@ -10,7 +10,6 @@ use super::recursion::{NodeReferences, Side, Split};
 use super::reference::Reference;
 use crate::geometry::padded::PaddedAabb;
 use crate::probability::Probability;
-use bytemuck::Zeroable;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -77,7 +76,7 @@ impl SweepReferences<'_> {
             order.par_sort_unstable();
             Column {
                 sorted: order.par_iter().map(|&(_, index)| list[index as usize]).collect(),
-                spare: vec![Reference::zeroed(); list.len()],
+                spare: bytemuck::zeroed_vec(list.len()),
             }
         });
         Columns { axes, goes_right: (0..=largest).map(|_| AtomicBool::new(false)).collect() }

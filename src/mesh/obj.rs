@@ -12,7 +12,7 @@ use super::{Faces, Kind, Material, Mesh, Part, Warnings, mtl, number};
 use crate::geometry::Vec3;
 use std::collections::HashMap;
 use std::io::{self, Read};
-pub use write::write;
+pub use write::{line_count, write};
 
 /// What a caller may choose about faces.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -298,11 +298,15 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
             let target = eye + self.axes.direction(azimuth, -0.06) * (0.1 * self.size);
             let view = View { eye, target, up: self.axes.up, fov_degrees };
             let Some(glimpse) = self.glimpse(&view, aspect) else { continue };
+            // In a tangle everything is in the way.
+            if glimpse.obstructed > 0.4 {
+                continue;
+            }
             // Much to see, and nothing in front of it.
             let score = 1.5 * glimpse.edges.min(0.5) + 0.1 * (1.0 + glimpse.distinct as f32).ln()
                 - 3.0 * glimpse.obstructed
                 - glimpse.backs
-                + 0.5 * glimpse.covered
+                + glimpse.covered
                 + (length / self.size).min(0.6);
             if best.is_none_or(|(other, _)| score > other) {
                 best = Some((score, view));

@@ -219,3 +219,95 @@ fn bounce(scenery: &Scenery, sample: &PixelSample, walk: &mut Walk, depth: u8) -
     walk.ray = Ray { origin: surface.origin, tnear: 0.0, direction, tfar: f32::INFINITY };
     if is_mirror { Purpose::Specular } else { Purpose::Diffuse }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::Material;
+    use crate::render::job::{Job, tests::job};
+    use crate::render::testing::{cube, emitter, image, mean, mesh, quad};
+
+    /// In a closed box whose walls emit E and reflect ρ, every ray sees E (1 + ρ + ρ² + …), cut off after `max_depth` terms.
+    #[test]
+    fn furnace_has_the_analytic_radiance() {
+        for (reflectance, max_depth, packet) in [(0.5, 1, 1), (0.5, 4, 1), (0.8, 3, 4), (0.0, 4, 1)] {
+            let mesh = mesh(&[(&cube(2.0), emitter(1.5, reflectance))]);
+            let job = Job { samples: 64, max_depth, packet, ..job() };
+            let (pixels, _) = image(&mesh, &job, Vec3::new(1.0, 1.0, 0.3), Vec3::new(1.1, 0.9, 2.0));
+            let expected: f32 = (0..=max_depth).map(|n| 1.5 * reflectance.powi(i32::from(n))).sum();
+            let found = mean(&pixels);
+            assert!((found / expected - 1.0).abs() < 0.01, "{reflectance} {max_depth}: {found}, {expected}");
+        }
+    }
+
+    /// The same with walls that are half mirrors.
+    #[test]
+    fn mirrors_keep_energy() {
+        let material = Material { specular: Vec3::splat(0.3), ..emitter(1.0, 0.3) };
+        let mesh = mesh(&[(&cube(2.0), material)]);
+        let job = Job { samples: 64, max_depth: 3, ..job() };
+        let (pixels, queries) = image(&mesh, &job, Vec3::new(1.0, 1.0, 0.3), Vec3::new(1.1, 0.9, 2.0));
+        let expected = 1.0 + 0.6 + 0.36 + 0.216;
+        assert!((mean(&pixels) / expected - 1.0).abs() < 0.01, "{}", mean(&pixels));
+        let count = |purpose| queries.asked.iter().filter(|(query, _)| query.purpose == purpose).count();
+        let ratio = count(Purpose::Specular) as f32 / count(Purpose::Diffuse) as f32;
+        assert!((0.9..1.1).contains(&ratio), "{ratio}");
+    }
+
+    /// A small lamp over a floor: radiance = ρ/π · E · A cos² / d².
+    #[test]
+    fn small_light_matches_the_form_factor() {
+        let side = 0.02;
+        let lamp = quad(Vec3::new(-side / 2.0, 2.0, -side / 2.0), Vec3::X * side, Vec3::Z * side);
+        let floor = quad(Vec3::new(-9.0, 0.0, -9.0), Vec3::X * 18.0, Vec3::Z * 18.0);
+        let matt = Material { diffuse: Vec3::splat(0.7), ..Material::default() };
+        let mesh = mesh(&[(&[floor], matt), (&[lamp], emitter(1000.0, 0.0))]);
+        // Looks at the point (1, 0, 0): d² = 5, both cosines 2/√5.
+        let job = Job { width: 1, height: 1, samples: 64, max_depth: 2, ..job() };
+        let mut queries = crate::render::testing::BruteForce::new(&mesh);
+        let wishes = crate::render::scenery::Wishes {
+            eye_and_target: Some((Vec3::new(1.0, 3.0, 3.0), Vec3::new(1.0, 0.0, 0.0))),
+            up: Some(Vec3::Y),
+            fov_degrees: Some(0.1),
+        };
+        let scenery = Scenery::new(&mesh, &mesh.triangles(), &mut queries, &wishes, [1, 1]).unwrap();
+        let mut pixels = Vec::new();
+        let tile = crate::render::tiles::Tiles::new(&job).tile(0);
+        crate::render::workers::trace_tile(&scenery, &job, &tile, &mut queries, &mut pixels);
+        let expected = 0.7 / PI * 1000.0 * side * side * (4.0 / 5.0) / 5.0;
+        assert!((pixels[0].y / expected - 1.0).abs() < 5e-3, "{} {expected}", pixels[0].y);
+    }
+
+    /// Depth counts surfaces met before; camera rays alone are coherent; nothing goes deeper than asked; packets ask the same.
+    #[test]
+    fn queries_say_what_they_are_for() {
+        let mesh = mesh(&[(&cube(2.0), emitter(1.0, 0.5))]);
+        let ask = |packet| {
+            let job = Job { samples: 1, max_depth: 3, packet, ..job() };
+            image(&mesh, &job, Vec3::new(1.0, 1.0, 0.3), Vec3::new(1.1, 0.9, 2.0))
+        };
+        let (pixels, queries) = ask(1);
+        for (query, is_occlusion) in &queries.asked {
+            assert_eq!(query.purpose == Purpose::Camera, query.depth == 0);
+            assert_eq!(query.coherent, query.depth == 0);
+            assert_eq!(query.purpose == Purpose::Shadow, *is_occlusion);
+            assert!(query.depth <= 3 && query.path < 64);
+        }
+        let count = |purpose| queries.asked.iter().filter(|(query, _)| query.purpose == purpose).count();
+        assert_eq!((count(Purpose::Camera), count(Purpose::Diffuse)), (64, 64 * 3));
+        // A light on the wall itself is not asked for: a sixth of them.
+        assert!((140..190).contains(&count(Purpose::Shadow)), "{}", count(Purpose::Shadow));
+        for packet in [4, 8, 16] {
+            let (same, others) = ask(packet);
+            let key = |(query, occlusion): &(Query, bool)| {
+                (query.path, query.depth, *occlusion, query.ray.direction.to_array().map(f32::to_bits))
+            };
+            let sorted = |mut asked: Vec<(Query, bool)>| {
+                asked.sort_by_key(key);
+                asked
+            };
+            assert_eq!(sorted(queries.asked.clone()), sorted(others.asked));
+            assert_eq!(pixels, same);
+        }
+    }
+}

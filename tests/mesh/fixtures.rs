@@ -2,6 +2,7 @@
 //! that is meant to change them.
 
 use embree_trace::mesh::{self, Mesh, generate, obj};
+use embree_trace::progress::Progress;
 use std::path::Path;
 
 fn scenes() -> [(&'static str, Mesh); 5] {
@@ -19,7 +20,7 @@ fn the_generators_write_the_committed_files() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures");
     for (name, scene) in scenes() {
         let (mut text, mut library) = (Vec::new(), Vec::new());
-        obj::write(&scene, &format!("{name}.mtl"), &mut text, &mut library).unwrap();
+        obj::write(&scene, &format!("{name}.mtl"), &mut text, &mut library, &Progress::hidden()).unwrap();
         assert!(text.len() < 200_000, "{name} has {} bytes", text.len());
         for (extension, bytes) in [("obj", text), ("mtl", library)] {
             let path = folder.join(format!("{name}.{extension}"));

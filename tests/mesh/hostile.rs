@@ -3,6 +3,7 @@
 use crate::read_obj;
 use embree_trace::geometry::Vec3;
 use embree_trace::mesh::{Faces, Material, Mesh, Part, generate, obj, ply};
+use embree_trace::progress::Progress;
 use proptest::prelude::*;
 use std::time::{Duration, Instant};
 
@@ -34,7 +35,7 @@ fn read_anything(bytes: &[u8]) {
 /// A small file of every statement.
 fn sample_obj() -> Vec<u8> {
     let mut text = b"\xEF\xBB\xBF# \xE9\r\nmtllib a.mtl b.mtl\nusemtl x\n".to_vec();
-    obj::write(&generate::quads(3), "c.mtl", &mut text, std::io::sink()).unwrap();
+    obj::write(&generate::quads(3), "c.mtl", &mut text, std::io::sink(), &Progress::hidden()).unwrap();
     text.extend(
         b"g a b\nf 1 2 3 4 5 6 7 8\nf -1 -2 \\\n-3\nl 1 2\nf 1000 1 2\nv 1.#IND .5 1e9\np 1\nf 9 8 7 6 1 2 3",
     );
@@ -190,7 +191,7 @@ proptest! {
     #[test]
     fn what_is_written_is_read(mesh in meshes()) {
         let (mut text, mut library) = (Vec::new(), Vec::new());
-        obj::write(&mesh, "a.mtl", &mut text, &mut library).unwrap();
+        obj::write(&mesh, "a.mtl", &mut text, &mut library, &Progress::hidden()).unwrap();
         let (read, _) = obj::parse(&text, &obj::Options { quads: true }, &mut |_| Some(library.clone()));
         let bits = |mesh: &Mesh| -> Vec<Option<[u32; 3]>> {
             // NaN is written as NaN, whatever its sign and payload.

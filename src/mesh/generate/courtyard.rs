@@ -20,7 +20,7 @@ const FLOORS: [(f64, f64); 2] = [(0.0, 4.4), (4.4, 3.6)];
 const EAVES: f64 = 8.0;
 
 /// The courtyard. `detail` 1 has 5 thousand triangles, 18 a million, 56 ten million. The court's middle is the origin, y is
-/// up, one unit is a metre; a camera at (4.6, 1.7, 5.2) looking at (-3, 2.6, -6) stands inside under the open sky.
+/// up, one unit is a metre; a camera at (5, 1.7, 1.5) looking at (-4, 2.9, -3) stands inside under the open sky.
 pub fn courtyard(detail: u32, seed: u64) -> Mesh {
     let detail = detail.max(1);
     let mut b = Builder::new();
@@ -133,7 +133,7 @@ fn arch(b: &mut Builder, side: u32, bay: u32, (bottom, height): (f64, f64), deta
     }
     b.sheet(steps, detail, |u, v| {
         let (x, y) = inner(u);
-        turned(side, [x, y, -COURT + WALL - 2.0 * WALL * v])
+        turned(side, [x, y, -COURT - WALL + 2.0 * WALL * v])
     });
 }
 
@@ -189,14 +189,12 @@ fn back_wall(b: &mut Builder, side: u32, detail: u32) {
     });
 }
 
-/// The ceiling of a gallery, a half ellipse across it, and the floor on top.
+/// The ceiling of a gallery, a quarter ellipse from over the arches down to the outer wall, and the floor on top.
 fn vault(b: &mut Builder, side: u32, (bottom, height): (f64, f64), detail: u32) {
     let (near, far) = (-COURT - WALL, -OUTER);
-    let (middle, half) = (0.5 * (near + far), 0.5 * (near - far));
     b.sheet(6 * detail, 4 * detail, |u, v| {
-        let (cos, sin) = circle(0.5 * v);
-        let rise = 1.1 * sin;
-        turned(side, [2.0 * OUTER * u - OUTER, bottom + height - 1.3 + rise, middle - half * cos])
+        let (cos, sin) = circle(0.25 * v);
+        turned(side, [2.0 * OUTER * u - OUTER, bottom + height - 1.4 + 1.3 * sin, near + (far - near) * cos])
     });
     let top = bottom + height;
     b.rectangle(

@@ -1,0 +1,203 @@
+//! `embree-trace` as it is typed: what it writes, that threads do not matter, and how it fails.
+#![cfg(feature = "embree")]
+
+use embree_trace::embree::{Query, Scene, Settings};
+use embree_trace::files::MappedFile;
+use embree_trace::format::bvh::Bvh;
+use embree_trace::format::rays::{Purpose, Rays, flag};
+use embree_trace::mesh;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use tempfile::TempDir;
+
+/// A room with a lamp and two boxes, 38 triangles, and its camera.
+fn room(directory: &Path) -> PathBuf {
+    let mut obj = String::from("mtllib room.mtl\n");
+    let mut corners = 0;
+    let mut cuboid = |obj: &mut String, material: &str, low: [f32; 3], high: [f32; 3]| {
+        obj.push_str(&format!("usemtl {material}\n"));
+        for corner in 0..8 {
+            let pick = |axis: usize| if corner >> axis & 1 == 0 { low[axis] } else { high[axis] };
+            obj.push_str(&format!("v {} {} {}\n", pick(0), pick(1), pick(2)));
+        }
+        for face in [[1, 2, 4, 3], [5, 6, 8, 7], [1, 2, 6, 5], [3, 4, 8, 7], [1, 3, 7, 5], [2, 4, 8, 6]] {
+            let [a, b, c, d] = face.map(|corner| corner + corners);
+            obj.push_str(&format!("f {a} {b} {c} {d}\n"));
+        }
+        corners += 8;
+    };
+    cuboid(&mut obj, "white", [0.0, 0.0, 0.0], [4.0, 3.0, 5.0]);
+    cuboid(&mut obj, "mirror", [0.5, 0.0, 3.0], [1.5, 1.5, 4.0]);
+    cuboid(&mut obj, "white", [2.4, 0.0, 2.0], [3.4, 0.8, 3.0]);
+    cuboid(&mut obj, "lamp", [1.5, 2.9, 2.0], [2.5, 2.95, 3.0]);
+    let path = directory.join("room.obj");
+    fs::write(&path, obj).unwrap();
+    let materials = "newmtl white\nKd 0.7 0.7 0.7\nnewmtl mirror\nKd 0.2 0.2 0.2\nKs 0.6 0.6 0.6\nnewmtl lamp\nKd 0 0 0\nKe 9 9 8\n";
+    fs::write(directory.join("room.mtl"), materials).unwrap();
+    path
+}
+
+fn command(directory: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_embree-trace")).args(arguments).current_dir(directory).output().unwrap()
+}
+
+fn good(directory: &Path, arguments: &[&str]) -> String {
+    let output = command(directory, arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Exit code 2, and one line that says all of `expected`.
+fn bad(directory: &Path, arguments: &[&str], expected: &[&str]) {
+    let output = command(directory, arguments);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {stderr}");
+    for text in expected {
+        assert!(stderr.contains(text), "{arguments:?}: expected `{text}` in: {stderr}");
+    }
+    if stderr.starts_with("embree-trace: error") {
+        assert_eq!(stderr.lines().count(), 1, "{stderr}");
+    }
+    assert!(!stderr.contains("panicked"), "{stderr}");
+}
+
+const CAMERA: &[&str] = &["--camera", "2,1.6,0.4/2,1.2,4", "--fov", "70"];
+
+#[test]
+fn threads_do_not_change_a_byte() {
+    let directory = TempDir::new().unwrap();
+    room(directory.path());
+    for extra in [&["--packet", "1"][..], &["--packet", "8", "--compress"], &["--integrator", "ao"]] {
+        let files = |threads: &str| {
+            let mut arguments = vec!["room.obj", "--size", "70x50", "--spp", "6", "--threads", threads];
+            arguments.extend_from_slice(&["--savetrace", "a.rays", "a.bvh", "--output", "a.exr"]);
+            arguments.extend_from_slice(CAMERA);
+            arguments.extend_from_slice(extra);
+            good(directory.path(), &arguments);
+            ["a.rays", "a.bvh", "a.exr"].map(|name| fs::read(directory.path().join(name)).unwrap())
+        };
+        let one = files("1");
+        assert!(files("2") == one && files("7") == one, "{extra:?}");
+    }
+}
+
+/// Every recorded answer is that of a plain intersector, and every record says what it is.
+#[test]
+fn records_are_what_was_asked() {
+    let directory = TempDir::new().unwrap();
+    let path = room(directory.path());
+    let mut arguments = vec!["room.obj", "--size", "40x30", "--spp", "2", "-savetrace", "a.rays", "a.bvh"];
+    arguments.extend_from_slice(CAMERA);
+    arguments.extend_from_slice(&["--format", "json"]);
+    let summary: serde_json::Value = serde_json::from_str(&good(directory.path(), &arguments)).unwrap();
+
+    let (mesh, _) = mesh::read(&path).unwrap();
+    let scene = Scene::new(&mesh, &Settings::default()).unwrap();
+    let mut intersector = scene.intersector().unwrap();
+    let file = MappedFile::open(&directory.path().join("a.rays")).unwrap();
+    let rays = Rays::parse(&file).unwrap();
+    assert!(rays.recovery.is_none() && rays.header.deterministic);
+    let tree = MappedFile::open(&directory.path().join("a.bvh")).unwrap();
+    assert_eq!(Bvh::parse(&tree).unwrap().header.fingerprint, rays.header.fingerprint);
+
+    let mut counts = [0u64; 6];
+    for index in 0..rays.chunks().len() {
+        for record in rays.chunk(index).unwrap().records.iter() {
+            let purpose = Purpose::from_byte(record.purpose);
+            counts[purpose as usize] += 1;
+            assert!(record.path < 40 * 30 && record.depth <= 4);
+            assert_eq!(purpose == Purpose::Camera, record.depth == 0);
+            assert_eq!(record.flags & flag::COHERENT != 0, record.depth == 0);
+            assert_eq!(purpose == Purpose::Shadow, record.is_occlusion());
+            let query = Query { mask: record.mask, ..Query::new(record.ray()) };
+            if record.is_occlusion() {
+                assert_eq!(intersector.occluded(&query), record.is_hit());
+            } else {
+                match intersector.closest_hit(&query) {
+                    Some(hit) => {
+                        assert_eq!(
+                            (hit.t, hit.triangle, hit.u, hit.v),
+                            (record.t, record.triangle, record.u, record.v)
+                        );
+                    }
+                    None => assert!(!record.is_hit() && record.t == f32::INFINITY),
+                }
+            }
+        }
+    }
+    assert_eq!(counts[Purpose::Camera as usize], 40 * 30 * 2);
+    assert!([Purpose::Shadow, Purpose::Diffuse, Purpose::Specular].iter().all(|&p| counts[p as usize] > 100));
+    assert_eq!(summary["rays"]["records"], counts.iter().sum::<u64>());
+    for line in summary["queries"].as_array().unwrap() {
+        let purpose = Purpose::ALL.into_iter().find(|p| p.name() == line["purpose"]).unwrap();
+        assert_eq!(line["queries"], counts[purpose as usize]);
+    }
+    assert_eq!(summary["lights"], "emitters");
+}
+
+/// A camera that is chosen stands in the room and sees it; every integrator makes a picture that is not black.
+#[test]
+fn pictures_show_something() {
+    let directory = TempDir::new().unwrap();
+    room(directory.path());
+    for integrator in ["path", "ao", "primary", "shadow"] {
+        let arguments =
+            ["room.obj", "--size", "32x24", "--spp", "4", "--integrator", integrator, "--output", "a.png"];
+        let text = good(directory.path(), &arguments);
+        assert!(text.contains("closest hit") && text.contains("picture"), "{text}");
+        let picture = image::open(directory.path().join("a.png")).unwrap().into_luma8();
+        let bright = picture.pixels().filter(|pixel| pixel.0[0] > 25).count();
+        assert!(bright > 32 * 24 / 3, "{integrator}: {bright}");
+    }
+}
+
+#[test]
+fn errors_are_one_line() {
+    let directory = TempDir::new().unwrap();
+    let here = directory.path();
+    room(here);
+    fs::write(here.join("empty.obj"), "").unwrap();
+    fs::write(here.join("points.obj"), "v 0 0 0\nv 1 1 1\n").unwrap();
+    let trace = ["--savetrace", "a.rays", "a.bvh"];
+    let with = |scene: &'static str, more: &[&'static str]| [&[scene], more, &trace[..]].concat();
+    bad(here, &with("absent.obj", &[]), &["absent.obj", "cannot open"]);
+    bad(here, &with("empty.obj", &[]), &["empty.obj", "empty"]);
+    bad(here, &with("points.obj", &[]), &["points.obj", "no faces"]);
+    for (option, value) in [
+        ("--size", "0x10"),
+        ("--size", "65536x65536"),
+        ("--size", "12"),
+        ("--spp", "0"),
+        ("--max-depth", "0"),
+        ("--threads", "0"),
+        ("--packet", "5"),
+        ("--ao-rays", "0"),
+        ("--camera", "1,2,3"),
+        ("--camera", "nan,0,0/1,1,1"),
+        ("--camera", "1,1,1/1,1,1"),
+        ("--fov", "nan"),
+        ("--fov", "180"),
+        ("--isa", "mmx"),
+        ("--tri-accel", "bvh3"),
+    ] {
+        bad(here, &with("room.obj", &[option, value]), &[]);
+    }
+    assert!(!here.join("a.rays").exists() && !here.join("a.bvh").exists());
+    bad(here, &["room.obj"], &["nothing to do", "--savetrace"]);
+    bad(here, &["room.obj", "--output", "a.jpg"], &["a.jpg", ".png"]);
+    bad(here, &["room.obj", "--output", "no/such/a.png"], &["a.png", "cannot create"]);
+    bad(here, &["room.obj", "--savetrace", "same", "same"], &["same"]);
+    bad(here, &["room.obj", "--savetrace", "no/a.rays", "a.bvh"], &["no/a.rays"]);
+    bad(here, &["room.obj", "--savetrace", "a.rays", "no/a.bvh"], &["no/a.bvh"]);
+}
+
+/// A full disk ends the recording at once, says what was kept, and spares the device.
+#[test]
+fn a_full_disk_is_an_error() {
+    let directory = TempDir::new().unwrap();
+    room(directory.path());
+    let full = ["room.obj", "--size", "256x256", "--savetrace", "/dev/full", "a.bvh"];
+    bad(directory.path(), &full, &["/dev/full", "stopped after", "queries"]);
+    assert!(!fs::metadata("/dev/full").unwrap().is_file());
+}
