@@ -30,11 +30,11 @@ pub mod mesh;
 pub mod optimize;
 pub mod probability;
 pub mod progress;
-pub mod replay;
-pub mod report;
 #[cfg(feature = "embree")]
 pub mod record;
 #[cfg(feature = "embree")]
 pub mod render;
+pub mod replay;
+pub mod report;
 pub mod traverse;
 pub mod tree;
