@@ -5,9 +5,11 @@ mod soup;
 use embree_trace::builder::exhaustive::optimum;
 use embree_trace::builder::{self, Bins, MAX_DEPTH, Splits};
 use embree_trace::geometry::{Aabb, Ray, Triangle, Vec3};
-use embree_trace::optimize::measure::{AreaMeasure, Measure, RayMeasure};
+use embree_trace::optimize::measure::{AreaMeasure, Estimate, Measure, RayMeasure};
 use embree_trace::optimize::reinsertion::Search;
-use embree_trace::optimize::{Config, OptimizeError, Report, Stage, annealing, insertion, reinsertion, rotations, run};
+use embree_trace::optimize::{
+    Config, OptimizeError, Report, Stage, annealing, insertion, reinsertion, rotations, run,
+};
 use embree_trace::progress::Progress;
 use embree_trace::tree::validate::validate;
 use embree_trace::tree::{Node, Tree};
@@ -19,15 +21,25 @@ fn configurations() -> Vec<Config> {
     let annealing = Stage::Annealing(annealing::Config { iterations: 60, ..Default::default() });
     let insertion = Stage::Insertion(insertion::Config { rounds: 20, share: 0.1, ..Default::default() });
     let reinsertion = Stage::Reinsertion(reinsertion::Config::default());
-    let by_area =
-        Stage::Reinsertion(reinsertion::Config { search: Search::Area { places: 4 }, share: 0.5, ..Default::default() });
-    let stages =
-        [vec![rotations], vec![annealing], vec![insertion], vec![reinsertion], vec![by_area], vec![rotations, by_area, insertion]];
+    let by_area = Stage::Reinsertion(reinsertion::Config {
+        search: Search::Area { places: 4 },
+        share: 0.5,
+        ..Default::default()
+    });
+    let stages = [
+        vec![rotations],
+        vec![annealing],
+        vec![insertion],
+        vec![reinsertion],
+        vec![by_area],
+        vec![rotations, by_area, insertion],
+    ];
     stages.into_iter().map(|stages| Config { stages }).collect()
 }
 
 fn build(triangles: &[Triangle], max_leaf: usize) -> Tree {
-    let config = builder::Config { splits: Splits::Binned { bins: Bins::Fixed(3) }, max_leaf, ..Default::default() };
+    let config =
+        builder::Config { splits: Splits::Binned { bins: Bins::Fixed(3) }, max_leaf, ..Default::default() };
     builder::build(triangles, &config, &Progress::hidden()).expect("a valid configuration")
 }
 
@@ -42,7 +54,7 @@ fn rays(count: usize, seed: u64) -> Vec<Ray> {
 }
 
 fn blend(tree: &Tree, rays: &[Ray]) -> RayMeasure {
-    RayMeasure::new(rays, 0.7, &tree.nodes[0].bounds().into())
+    RayMeasure::new(rays, Estimate::default(), &tree.nodes[0].bounds().into())
 }
 
 /// T, counted anew.
@@ -112,7 +124,8 @@ fn degenerate_triangles_and_rays_do_no_harm() {
             tfar: number(),
         })
         .collect();
-    let away: Vec<Ray> = rays(20, 6).iter().map(|ray| Ray { origin: ray.origin + Vec3::splat(1e20), ..*ray }).collect();
+    let away: Vec<Ray> =
+        rays(20, 6).iter().map(|ray| Ray { origin: ray.origin + Vec3::splat(1e20), ..*ray }).collect();
     for (number, (name, triangles)) in degenerate().into_iter().enumerate() {
         let tree = build(&triangles, 1);
         let config = &configurations()[number % 6];
@@ -228,7 +241,8 @@ fn no_optimiser_goes_below_the_optimum_and_the_best_come_close() {
     for seed in 0..scenes {
         let triangles = soup(10, 1000 + seed);
         let tree = build(&triangles, 1);
-        let leaves: Vec<(Aabb, u32)> = triangles.iter().enumerate().map(|(i, t)| (t.bounds(), i as u32)).collect();
+        let leaves: Vec<(Aabb, u32)> =
+            triangles.iter().enumerate().map(|(i, t)| (t.bounds(), i as u32)).collect();
         let area = AreaMeasure::new(&tree.nodes[0].bounds().into());
         let blend = blend(&tree, &rays(200, seed));
         let all = blend.whole();
@@ -239,13 +253,20 @@ fn no_optimiser_goes_below_the_optimum_and_the_best_come_close() {
         for (config, excess) in configurations().iter().zip(&mut excess) {
             let costs = [optimize(&tree, &area, config).1.after, optimize(&tree, &blend, config).1.after];
             for side in 0..2 {
-                assert!(costs[side] >= limits[side] * (1.0 - 1e-9), "{config:?}: {} < {}", costs[side], limits[side]);
+                assert!(
+                    costs[side] >= limits[side] * (1.0 - 1e-9),
+                    "{config:?}: {} < {}",
+                    costs[side],
+                    limits[side]
+                );
                 excess[side] += (costs[side] / limits[side] - 1.0) / scenes as f64;
             }
         }
     }
     println!("mean excess over the optimum, area and blend: {excess:?}");
-    for (name, index, most) in [("rotations", 0, 0.05), ("annealing", 1, 0.05), ("insertion", 2, 0.1), ("reinsertion", 3, 0.03)] {
+    for (name, index, most) in
+        [("rotations", 0, 0.05), ("annealing", 1, 0.05), ("insertion", 2, 0.1), ("reinsertion", 3, 0.03)]
+    {
         assert!(excess[index].iter().all(|&mean| mean < most), "{name}: {:?}", excess[index]);
     }
 }

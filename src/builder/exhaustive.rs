@@ -30,7 +30,10 @@ pub struct Optimum {
 ///
 /// # Errors
 /// More than [`MAX_PRIMITIVES`] leaves.
-pub fn optimum(leaves: &[(Aabb, u32)], mut probability: impl FnMut(&PaddedAabb) -> f64) -> Result<Optimum, ExhaustiveError> {
+pub fn optimum(
+    leaves: &[(Aabb, u32)],
+    mut probability: impl FnMut(&PaddedAabb) -> f64,
+) -> Result<Optimum, ExhaustiveError> {
     let count = leaves.len();
     if count > MAX_PRIMITIVES {
         return Err(ExhaustiveError::TooMany(count));

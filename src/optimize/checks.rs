@@ -1,6 +1,6 @@
 //! For tests: scenes, rays, and a working tree recounted from nothing.
 
-use super::measure::{Measure, RayMeasure};
+use super::measure::{Estimate, Measure, RayMeasure};
 use super::random::Random;
 use super::working::{NONE, Working};
 use crate::geometry::{Aabb, Ray, Triangle, Vec3};
@@ -51,7 +51,7 @@ pub fn poor_tree(triangles: &[Triangle]) -> Tree {
 
 /// Half rays, half area.
 pub fn blend(tree: &Tree, rays: &[Ray]) -> RayMeasure {
-    RayMeasure::new(rays, 0.5, &tree.nodes[0].bounds().into())
+    RayMeasure::new(rays, Estimate::Blend { weight: 0.5 }, &tree.nodes[0].bounds().into())
 }
 
 /// Links, boxes, values and lists of every node, each made again from nothing.

@@ -31,7 +31,14 @@ pub struct Config {
 
 impl Default for Config {
     fn default() -> Config {
-        Config { rounds: 50, share: 0.02, least_gain: 1e-4, seed: 1, search_work: 1 << 20, max_work: u64::MAX }
+        Config {
+            rounds: 50,
+            share: 0.02,
+            least_gain: 1e-4,
+            seed: 1,
+            search_work: 1 << 20,
+            max_work: u64::MAX,
+        }
     }
 }
 
@@ -62,7 +69,8 @@ pub fn insert<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<Step
 
 /// The nodes of a round: the most inefficient ones, or random ones.
 fn picked<M: Measure>(working: &Working<M>, config: &Config, random: Option<&mut Random>) -> Vec<u32> {
-    let mut nodes: Vec<u32> = (0..working.nodes.len() as u32).filter(|&node| !working.node(node).is_leaf()).collect();
+    let mut nodes: Vec<u32> =
+        (0..working.nodes.len() as u32).filter(|&node| !working.node(node).is_leaf()).collect();
     let count = ((nodes.len() as f64 * config.share).ceil() as usize).min(nodes.len());
     match random {
         Some(random) => {
@@ -73,7 +81,8 @@ fn picked<M: Measure>(working: &Working<M>, config: &Config, random: Option<&mut
         }
         None => nodes.sort_by_cached_key(|&node| {
             let value = working.value(node);
-            let [left, right] = working.node(node).children().map(|child| working.value(child).max(1e-12 * value));
+            let [left, right] =
+                working.node(node).children().map(|child| working.value(child).max(1e-12 * value));
             let inefficiency = value * (2.0 * value / (left + right)) * (value / left.min(right));
             // Not negative, so the bits are in order; greatest first.
             std::cmp::Reverse(inefficiency.to_bits())
@@ -89,7 +98,8 @@ fn dissolve<M: Measure>(working: &mut Working<M>, node: u32, config: &Config, wo
         return 0;
     }
     let [left, right] = working.node(node).children();
-    let (first, second) = if working.value(right) > working.value(left) { (right, left) } else { (left, right) };
+    let (first, second) =
+        if working.value(right) > working.value(left) { (right, left) } else { (left, right) };
     // The first may lose up to the node's P if the second makes up for it.
     let mut limits = Limits { least_gain: -1.0, places: 1, work: config.search_work };
     let Some((first_gain, undo)) = best_move(working, first, &limits, work) else { return 0 };
@@ -109,7 +119,12 @@ fn dissolve<M: Measure>(working: &mut Working<M>, node: u32, config: &Config, wo
 type Moved<M> = (f64, super::moves::Undo<<M as Measure>::List>);
 
 /// Moves a node to its best place; its gain, and the way back.
-fn best_move<M: Measure>(working: &mut Working<M>, node: u32, limits: &Limits, work: &mut u64) -> Option<Moved<M>> {
+fn best_move<M: Measure>(
+    working: &mut Working<M>,
+    node: u32,
+    limits: &Limits,
+    work: &mut u64,
+) -> Option<Moved<M>> {
     if !can_move(working, node) {
         return None;
     }

@@ -91,8 +91,10 @@ pub fn carry_out<M: Measure>(working: &mut Working<M>, plan: Plan<M::List>) -> U
     let parent = working.node(node).parent;
     let sibling = working.sibling(node);
     let (from, to) = (working.node(parent).parent, working.node(target).parent);
-    let touched = [from, to, parent, sibling, node, target].into_iter().chain(changes.iter().map(|change| change.0));
-    let mut undo = Undo { nodes: touched.map(|index| (index, *working.node(index))).collect(), lists: Vec::new() };
+    let touched =
+        [from, to, parent, sibling, node, target].into_iter().chain(changes.iter().map(|change| change.0));
+    let mut undo =
+        Undo { nodes: touched.map(|index| (index, *working.node(index))).collect(), lists: Vec::new() };
     working.replace_child(from, parent, sibling);
     working.replace_child(to, target, parent);
     working.adopt(parent, [target, node]);
@@ -187,9 +189,15 @@ mod tests {
         let [left, right] = working.node(0).children();
         let below = working.node(left).children();
         let deeper = working.node(below[0]).children();
-        for (node, target) in
-            [(0, left), (left, right), (below[0], 0), (below[0], left), (below[0], below[1]), (below[0], below[0]), (below[0], deeper[0])]
-        {
+        for (node, target) in [
+            (0, left),
+            (left, right),
+            (below[0], 0),
+            (below[0], left),
+            (below[0], below[1]),
+            (below[0], below[0]),
+            (below[0], deeper[0]),
+        ] {
             assert!(plan(&working, node, target).is_none(), "{node} beside {target}");
         }
         assert!(plan(&working, below[0], right).is_some());

@@ -68,13 +68,15 @@ pub fn reinsert<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<St
         if work >= config.max_work {
             break;
         }
-        let mut nodes: Vec<u32> = (0..working.nodes.len() as u32).filter(|&node| can_move(working, node)).collect();
+        let mut nodes: Vec<u32> =
+            (0..working.nodes.len() as u32).filter(|&node| can_move(working, node)).collect();
         nodes.sort_by(|&a, &b| working.value(b).total_cmp(&working.value(a)));
         nodes.truncate((nodes.len() as f64 * config.share).ceil() as usize);
         for batch in nodes.chunks(BATCH) {
             let (done, tested) = match config.search {
                 Search::Area { places } => {
-                    let limits = Limits { least_gain: WORTHWHILE, places: places.max(1), work: config.search_work };
+                    let limits =
+                        Limits { least_gain: WORTHWHILE, places: places.max(1), work: config.search_work };
                     move_batch(working, &ByArea(AreaMeasure::new(&scene)), batch, &limits)
                 }
                 Search::Measure => {
@@ -99,11 +101,18 @@ pub fn reinsert<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<St
 }
 
 /// Searches for all of `batch` at once, then moves one after another. Returns the number of moves and the work.
-fn move_batch<M: Measure, G: Guide<M>>(working: &mut Working<M>, guide: &G, batch: &[u32], limits: &Limits) -> (u64, u64) {
+fn move_batch<M: Measure, G: Guide<M>>(
+    working: &mut Working<M>,
+    guide: &G,
+    batch: &[u32],
+    limits: &Limits,
+) -> (u64, u64) {
     let tree = &*working;
     let found: Vec<_> = batch
         .par_iter()
-        .map(|&node| if can_move(tree, node) { places(tree, guide, node, limits) } else { Default::default() })
+        .map(
+            |&node| if can_move(tree, node) { places(tree, guide, node, limits) } else { Default::default() },
+        )
         .collect();
     let mut work: u64 = found.iter().map(|(_, work)| work).sum();
     let mut order: Vec<usize> = (0..batch.len()).filter(|&index| !found[index].0.is_empty()).collect();

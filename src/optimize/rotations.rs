@@ -74,12 +74,14 @@ pub(super) fn gains<M: Measure>(working: &Working<M>, index: u32) -> Gains {
         [None, None] => 0,
         // With one inner child, one box can change, in two ways.
         [None, Some([c, d])] => {
-            let values = working.measure.values(list, &[bounds(a).union(bounds(d)), bounds(a).union(bounds(c))]);
+            let values =
+                working.measure.values(list, &[bounds(a).union(bounds(d)), bounds(a).union(bounds(c))]);
             (gains[0], gains[1]) = (working.value(b) - values[0], working.value(b) - values[1]);
             2
         }
         [Some([c, d]), None] => {
-            let values = working.measure.values(list, &[bounds(b).union(bounds(d)), bounds(b).union(bounds(c))]);
+            let values =
+                working.measure.values(list, &[bounds(b).union(bounds(d)), bounds(b).union(bounds(c))]);
             (gains[2], gains[3]) = (working.value(a) - values[0], working.value(a) - values[1]);
             2
         }

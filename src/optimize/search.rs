@@ -19,7 +19,12 @@ pub trait Guide<M: Measure>: Sync {
     fn list<'a>(&'a self, working: &'a Working<M>, node: u32) -> &'a Self::List;
     fn value(&self, working: &Working<M>, node: u32) -> f64;
     fn within(&self, working: &Working<M>, outer: &Self::List, bounds: &PaddedAabb) -> Self::List;
-    fn values<const N: usize>(&self, working: &Working<M>, outer: &Self::List, boxes: &[PaddedAabb; N]) -> [f64; N];
+    fn values<const N: usize>(
+        &self,
+        working: &Working<M>,
+        outer: &Self::List,
+        boxes: &[PaddedAabb; N],
+    ) -> [f64; N];
     fn work(&self, list: &Self::List) -> u64;
 }
 
@@ -41,7 +46,12 @@ impl<M: Measure> Guide<M> for ByMeasure<'_, M> {
         working.measure.within(outer, bounds)
     }
 
-    fn values<const N: usize>(&self, working: &Working<M>, outer: &M::List, boxes: &[PaddedAabb; N]) -> [f64; N] {
+    fn values<const N: usize>(
+        &self,
+        working: &Working<M>,
+        outer: &M::List,
+        boxes: &[PaddedAabb; N],
+    ) -> [f64; N] {
         working.measure.values(outer, boxes)
     }
 
@@ -66,7 +76,12 @@ impl<M: Measure> Guide<M> for ByArea {
 
     fn within(&self, _working: &Working<M>, _outer: &(), _bounds: &PaddedAabb) {}
 
-    fn values<const N: usize>(&self, _working: &Working<M>, _outer: &(), boxes: &[PaddedAabb; N]) -> [f64; N] {
+    fn values<const N: usize>(
+        &self,
+        _working: &Working<M>,
+        _outer: &(),
+        boxes: &[PaddedAabb; N],
+    ) -> [f64; N] {
         std::array::from_fn(|index| self.0.of(&boxes[index]))
     }
 
@@ -116,12 +131,21 @@ pub struct Limits {
 }
 
 /// The places for `node` that lower the cost most, and the work that it took to find them. `node` must be able to move.
-pub fn places<M: Measure, G: Guide<M>>(working: &Working<M>, guide: &G, node: u32, limits: &Limits) -> (Vec<Place>, u64) {
+pub fn places<M: Measure, G: Guide<M>>(
+    working: &Working<M>,
+    guide: &G,
+    node: u32,
+    limits: &Limits,
+) -> (Vec<Place>, u64) {
     let moved = *working.bounds(node);
     let parent = working.node(node).parent;
     let sibling = working.sibling(node);
     let least = guide.value(working, node);
-    let mut best = Best { places: Vec::new(), most: limits.places, least_gain: limits.least_gain * guide.value(working, parent) };
+    let mut best = Best {
+        places: Vec::new(),
+        most: limits.places,
+        least_gain: limits.least_gain * guide.value(working, parent),
+    };
     let mut work = 0;
     // What is gained by taking the node out, as far up as the pivot's children.
     let mut gained = guide.value(working, parent);
@@ -193,7 +217,9 @@ mod tests {
 
     /// The best gain of all places, each worked out in full.
     fn exhaustive<M: Measure>(working: &Working<M>, node: u32) -> f64 {
-        let gains = (0..working.nodes.len() as u32).filter_map(|target| plan(working, node, target)).map(|plan| plan.gain);
+        let gains = (0..working.nodes.len() as u32)
+            .filter_map(|target| plan(working, node, target))
+            .map(|plan| plan.gain);
         gains.fold(0.0, f64::max)
     }
 
@@ -207,7 +233,10 @@ mod tests {
             assert!((gain - best).abs() < 1e-8, "{node}: found {gain}, there is {best}");
             for place in &places {
                 let expected = plan(working, node, place.target).map(|plan| plan.gain);
-                assert!((place.gain - expected.unwrap_or(f64::NAN)).abs() < 1e-9, "{node}: {place:?} {expected:?}");
+                assert!(
+                    (place.gain - expected.unwrap_or(f64::NAN)).abs() < 1e-9,
+                    "{node}: {place:?} {expected:?}"
+                );
                 found += 1;
             }
         }

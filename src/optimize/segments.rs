@@ -7,8 +7,8 @@
 //! The test is the conservative one of traversal ([`PreparedRay::entry`]): a ray is counted for
 //! exactly those boxes that a traversal of its effective segment would enter. So P_R here is P_R as `bvh-compare` counts it.
 
-use crate::geometry::padded::PaddedAabb;
 use crate::geometry::Ray;
+use crate::geometry::padded::PaddedAabb;
 use crate::traverse::ray::{PADDING, PreparedRay};
 use rayon::prelude::*;
 
@@ -148,7 +148,8 @@ mod tests {
         let (mut entry, mut exit) = (f64::from(ray.tnear), f64::from(ray.tfar));
         for axis in 0..3 {
             let (origin, direction) = (f64::from(ray.origin[axis]), f64::from(ray.direction[axis]));
-            let faces = [bounds.lower[axis], bounds.upper[axis]].map(|face| (f64::from(face) - origin) / direction);
+            let faces =
+                [bounds.lower[axis], bounds.upper[axis]].map(|face| (f64::from(face) - origin) / direction);
             entry = entry.max(faces[0].min(faces[1]));
             exit = exit.min(faces[0].max(faces[1]));
         }
@@ -182,7 +183,11 @@ mod tests {
                     assert_eq!(within.contains(&(number as u32)), entered, "traversal decides otherwise");
                     let overlap = overlap(ray, bounds);
                     if overlap.abs() > 1e-5 {
-                        assert_eq!(within.contains(&(number as u32)), overlap > 0.0, "{ray:?} {bounds:?} {overlap}");
+                        assert_eq!(
+                            within.contains(&(number as u32)),
+                            overlap > 0.0,
+                            "{ray:?} {bounds:?} {overlap}"
+                        );
                         sure += 1;
                     }
                 }

@@ -174,7 +174,10 @@ impl<'m, M: Measure> Working<'m, M> {
     /// The tree as builders return it: siblings adjacent, below a pair the whole left subtree, then the whole right one, primitives in
     /// the order of their leaves. `primitives` are those of the tree that was read.
     pub fn tree(&self, primitives: &[u32]) -> Tree {
-        let mut tree = Tree { nodes: Vec::with_capacity(self.nodes.len()), primitives: Vec::with_capacity(primitives.len()) };
+        let mut tree = Tree {
+            nodes: Vec::with_capacity(self.nodes.len()),
+            primitives: Vec::with_capacity(primitives.len()),
+        };
         tree.nodes.push(FileNode::inner(PaddedAabb::EMPTY.into(), 0, 0));
         // Nodes whose place is known, but not what is below.
         let mut places = vec![(0u32, 0usize)];
