@@ -82,7 +82,7 @@ fn entries<'a>(series: impl Iterator<Item = &'a Series>) -> Vec<Entry> {
             },
             Series::Band { .. } | Series::Scatter { .. } => continue,
         };
-        if !entry.label.is_empty() && !entries.iter().any(|e| *e == entry) {
+        if !entry.label.is_empty() && !entries.contains(&entry) {
             entries.push(entry);
         }
     }
