@@ -126,28 +126,28 @@ fn run(experiment: &Experiment) -> Result<Outcome, Failure> {
             let rows = experiment::shapes::run(&settings)?;
             options.save(&Shape::ALL, &settings)?;
             let csv = |out: &mut OutputFile| experiment::write_csv(&rows, out);
-            options.common.write("shapes", csv, &experiment::shapes::figure(&rows))
+            options.common.write("shapes", csv, experiment::shapes::figure(&rows))
         }
         Experiment::Blend(options) => {
             let settings = options.settings();
             let rows = experiment::blend::run(&settings)?;
             options.save(&[Shape::Sphere], &settings)?;
             let csv = |out: &mut OutputFile| experiment::write_csv(&rows, out);
-            options.common.write("blend", csv, &experiment::blend::figure(&rows))
+            options.common.write("blend", csv, experiment::blend::figure(&rows))
         }
         Experiment::Alpha(scene) => {
             let rows = scene.traced.with(&scene.scene, scene.rays(), |_, trace| {
                 experiment::alpha::run(trace, &scene.traced.settings(1))
             })?;
             let csv = |out: &mut OutputFile| experiment::alpha::write_csv(&rows, out);
-            scene.traced.common.write("alpha", csv, &experiment::alpha::figure(&rows, &scene.name()))
+            scene.traced.common.write("alpha", csv, experiment::alpha::figure(&rows, &scene.name()))
         }
         Experiment::Traversal(scene) => {
             let rows = scene
                 .traced
                 .with(&scene.scene, scene.rays(), |_, trace| experiment::traversal::run(trace))?;
             let csv = |out: &mut OutputFile| experiment::traversal::write_csv(&rows, out);
-            scene.traced.common.write("traversal", csv, &experiment::traversal::figure(&rows, &scene.name()))
+            scene.traced.common.write("traversal", csv, experiment::traversal::figure(&rows, &scene.name()))
         }
         Experiment::StaticCost(scene) => {
             let rows = scene
@@ -155,18 +155,19 @@ fn run(experiment: &Experiment) -> Result<Outcome, Failure> {
                 .with(&scene.scene, scene.rays(), |_, trace| experiment::static_cost::run(trace))?;
             let common = &scene.traced.common;
             let csv = |out: &mut OutputFile| experiment::static_cost::write_csv(&rows, out);
-            common.write("static-cost", csv, &experiment::static_cost::scatter(&rows, &scene.name()))?;
-            common.write_figure(
-                "static-cost-siblings",
-                &experiment::static_cost::siblings(&rows, &scene.name()),
-            )
+            let siblings = experiment::static_cost::siblings(&rows, &scene.name());
+            let figures = [
+                ("static-cost", experiment::static_cost::scatter(&rows, &scene.name())),
+                ("static-cost-siblings", siblings),
+            ];
+            common.write_all("static-cost", csv, &figures)
         }
         Experiment::Sampling(Sampling { scene, trials }) => {
             let rows = scene.traced.with(&scene.scene, scene.rays(), |_, trace| {
                 experiment::sampling::run(trace, &scene.traced.settings(*trials))
             })?;
             let csv = |out: &mut OutputFile| experiment::sampling::write_csv(&rows, out);
-            scene.traced.common.write("sampling", csv, &experiment::sampling::figure(&rows, &scene.name()))
+            scene.traced.common.write("sampling", csv, experiment::sampling::figure(&rows, &scene.name()))
         }
         Experiment::Scenes(options) => {
             let mut rows = Vec::new();
@@ -178,7 +179,7 @@ fn run(experiment: &Experiment) -> Result<Outcome, Failure> {
             }
             write!(std::io::stdout(), "{}", experiment::scenes::markdown(&rows))?;
             let csv = |out: &mut OutputFile| experiment::scenes::write_csv(&rows, out);
-            options.traced.common.write("scenes", csv, &experiment::scenes::figure(&rows))
+            options.traced.common.write("scenes", csv, experiment::scenes::figure(&rows))
         }
     }
 }
@@ -254,24 +255,34 @@ impl Common {
     /// Writes `name`.csv, .svg and .png, and says where they are.
     fn write(
         &self,
+        name: &'static str,
+        csv: impl FnOnce(&mut OutputFile) -> std::io::Result<()>,
+        figure: Figure,
+    ) -> Result<Outcome, Failure> {
+        self.write_all(name, csv, &[(name, figure)])
+    }
+
+    /// Writes `name`.csv and every figure; says where they are when all are there (a pipe may be closed early).
+    fn write_all(
+        &self,
         name: &str,
         csv: impl FnOnce(&mut OutputFile) -> std::io::Result<()>,
-        figure: &Figure,
+        figures: &[(&str, Figure)],
     ) -> Result<Outcome, Failure> {
         make_directory(&self.out)?;
         let path = self.out.join(format!("{name}.csv"));
         let mut file = OutputFile::create(&path)?;
         csv(&mut file).map_err(|error| file.write_error(error))?;
         file.commit()?;
-        writeln!(std::io::stdout(), "{}", path.display())?;
-        self.write_figure(name, figure)
-    }
-
-    fn write_figure(&self, name: &str, figure: &Figure) -> Result<Outcome, Failure> {
-        figure.write(&self.out, name)?;
-        for extension in ["svg", "png"] {
-            writeln!(std::io::stdout(), "{}", self.out.join(format!("{name}.{extension}")).display())?;
+        let mut written = format!("{}\n", path.display());
+        for (name, figure) in figures {
+            figure.write(&self.out, name)?;
+            for extension in ["svg", "png"] {
+                let path = self.out.join(format!("{name}.{extension}"));
+                written += &format!("{}\n", path.display());
+            }
         }
+        write!(std::io::stdout(), "{written}")?;
         Ok(Outcome::Good)
     }
 }

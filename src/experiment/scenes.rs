@@ -185,7 +185,7 @@ pub fn figure(rows: &[Row]) -> Figure {
         Chart::new("", "", "tests per held-out query, relative to SAH binned", series).with_x(-0.5, last);
     chart.x.names = scenes.iter().map(|scene| (*scene).to_owned()).collect();
     let mut figure = Figure::new("Trees from rays on queries that they have not seen", 1, vec![chart]);
-    figure.chart_size = ((120 * scenes.len() as u32).clamp(640, 2400), 400);
+    figure.chart_size = ((120 * scenes.len() as u32).clamp(760, 2400), 400);
     figure.note =
         "Box and primitive tests, ODF. Trained on the queries of 10% of the pixels, counted on the rest."
             .into();

@@ -9,8 +9,10 @@ use crate::report::plot::{Chart, Figure, Mark, PALETTE, Series, Stroke, ramp};
 use crate::traverse::{Link, Overlapped, PreparedRay, Scratch};
 use std::io::{self, Write};
 
-/// The predictors' names and functions of n, for n ≥ 2.
-pub const PREDICTORS: [(&str, fn(f64) -> f64); 4] =
+/// A predictor's name, and its function of n for n ≥ 2.
+type Predictor = (&'static str, fn(f64) -> f64);
+
+const PREDICTORS: [Predictor; 4] =
     [("n", |n| n), ("n - 1", |n| n - 1.0), ("log n", f64::ln), ("∛(n - 1)", |n| (n - 1.0).cbrt())];
 
 /// One inner node.

@@ -33,10 +33,10 @@ impl Segment {
     /// Whether the segment overlaps a box: [`PreparedRay::entry`] is not `None`.
     #[inline(always)]
     pub fn overlaps(&self, bounds: &PaddedAabb) -> bool {
-        let faces = [bounds.lower.to_array(), bounds.upper.to_array()];
+        let faces = [bounds.lower, bounds.upper];
         let (mut entry, mut exit) = (self.near_inverse.w, self.far_inverse.w);
-        for axis in 0..3 {
-            let down = (self.downwards[axis] & 1) as usize;
+        for (axis, down) in self.downwards.iter().enumerate() {
+            let down = (down & 1) as usize;
             let near = (faces[down][axis] - self.origin[axis]) * self.near_inverse[axis];
             let far = (faces[down ^ 1][axis] - self.origin[axis]) * self.far_inverse[axis];
             entry = if near > entry { near } else { entry };

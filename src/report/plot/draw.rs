@@ -82,7 +82,7 @@ fn entries<'a>(series: impl Iterator<Item = &'a Series>) -> Vec<Entry> {
             },
             Series::Band { .. } | Series::Scatter { .. } => continue,
         };
-        if !entry.label.is_empty() && !entries.iter().any(|e| *e == entry) {
+        if !entry.label.is_empty() && !entries.contains(&entry) {
             entries.push(entry);
         }
     }
@@ -196,7 +196,8 @@ impl<'a> Layout<'a> {
         }
         self.mark(area, entry.mark, ((x + 15) * s, y * s), entry.color)?;
         let style = self.font(13).pos(Pos::new(HPos::Left, VPos::Center));
-        area.draw_text(&entry.label, &style, ((x + 37) * s, y * s))
+        // Centring takes the font's line, which is higher above its letters than below.
+        area.draw_text(&entry.label, &style, ((x + 37) * s, (y + 2) * s))
     }
 
     fn color_scale<DB: DrawingBackend>(
@@ -384,7 +385,10 @@ fn entry_width(label: &str) -> i32 {
 
 /// A round distance between ticks, so that there are about `count`.
 fn step(axis: &super::Axis, count: f64) -> f64 {
-    if axis.logarithmic || !axis.names.is_empty() {
+    if !axis.names.is_empty() {
+        return 1.0;
+    }
+    if axis.logarithmic {
         return ((axis.high - axis.low) / 8.0).ceil().max(1.0);
     }
     let raw = (axis.high - axis.low) / count;
