@@ -10,6 +10,8 @@
 
 pub mod binned;
 pub mod cost;
+mod describe;
+pub mod exhaustive;
 mod recursion;
 pub mod reference;
 pub mod sweep;
@@ -80,8 +82,8 @@ pub struct Config {
     /// Exponent of the count, not negative: 1 takes a subtree to cost as much as its size says.
     pub alpha: f64,
     pub count: Count,
-    /// Most primitives in a leaf. With 1, as in the paper, every leaf has one; above 1, a node of no more than that
-    /// many becomes a leaf when its best split would not lower the SAH cost.
+    /// Most primitives in a leaf. With 1, as in the paper, every leaf has one; above 1, a subtree of no more than that
+    /// many becomes a leaf when that does not raise the SAH cost.
     pub max_leaf: usize,
     /// Cost of a box test, for that decision.
     pub c_i: f64,

@@ -8,6 +8,8 @@
 //! | scenes | [`mesh`] | triangles from OBJ, PLY and generators |
 //! | building | [`builder`], [`probability`] | trees from triangles, and how likely a box is hit |
 //! | formats | [`format`] | `.rays` and `.bvh`, each read and written in one place |
+//! | experiments | [`experiment`], [`report`] | the figures of the paper, as CSV and plots |
+//! | Embree | `embree` (feature) | queries, recording, and Embree's own trees |
 //!
 //! # Invariants
 //!
@@ -22,18 +24,22 @@ pub mod compare;
 pub mod diff;
 #[cfg(feature = "embree")]
 pub mod embree;
+pub mod experiment;
 pub mod files;
 pub mod format;
 pub mod geometry;
 pub mod inspect;
 pub mod mesh;
+pub mod optimize;
 pub mod probability;
 pub mod progress;
+pub mod recipe;
 #[cfg(feature = "embree")]
 pub mod record;
 #[cfg(feature = "embree")]
 pub mod render;
 pub mod replay;
 pub mod report;
+pub mod training;
 pub mod traverse;
 pub mod tree;

@@ -9,6 +9,8 @@
 //! that misses a node's box misses all boxes below it).
 
 pub mod area;
+pub mod blend;
+pub mod rays;
 
 use crate::geometry::padded::PaddedAabb;
 

@@ -1,8 +1,9 @@
-//! A comparison on paper: a table for people, JSON and CSV for scripts, heat maps for the eye.
+//! Results for people and scripts: a comparison as tables, JSON, CSV and heat maps; plots that could go in a paper.
 
 pub mod csv;
 pub mod heatmap;
 pub mod json;
+pub mod plot;
 pub mod table;
 
 use crate::compare::{depth_name, kind_name};

@@ -130,7 +130,9 @@ fn batches_are_full_but_for_a_flush_and_the_end() {
     assert_eq!(sizes(&|_| ()), [0usize; 0]);
     assert_eq!(sizes(&|i| i.flush().unwrap()), [0usize; 0]);
     let ask = |intersector: &mut embree_trace::embree::Intersector, count: usize| {
-        (0..count).for_each(|_| drop(intersector.occluded(&query)));
+        for _ in 0..count {
+            intersector.occluded(&query);
+        }
     };
     assert_eq!(sizes(&|i| ask(i, 1)), [1]);
     assert_eq!(sizes(&|i| ask(i, BATCH_RECORDS - 1)), [BATCH_RECORDS - 1]);

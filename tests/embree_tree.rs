@@ -102,7 +102,7 @@ fn validate(built: &BuiltTree) {
     let mut next_primitive = 0;
     for (index, node) in tree.nodes.iter().enumerate() {
         if !node.is_leaf() {
-            assert!(node.first as usize > index && node.len() >= 1 && node.len() <= 8);
+            assert!(node.first as usize > index && (1..=8).contains(&node.len()));
             for child in node.range() {
                 parents[child] += 1;
                 let inside = node.bounds().contains(&tree.nodes[child].bounds());

@@ -2,10 +2,9 @@
 
 use clap::{Parser, ValueEnum};
 use embree_trace::cli::{self, Failure, Outcome, TextOrJson};
-use embree_trace::files::FileError;
+use embree_trace::files::OutputFile;
 use embree_trace::mesh::{Mesh, generate, obj};
 use embree_trace::progress::Progress;
-use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -18,17 +17,21 @@ use std::process::ExitCode;
     after_help = "Examples:
   make-scene cornell-box box.obj
   make-scene courtyard court.obj --detail 18       a million triangles
-  make-scene terrain land.obj --detail 10000000    ten million triangles"
+  make-scene courtyard court.obj --triangles 200000
+  make-scene terrain land.obj --triangles 10000000"
 )]
 struct Arguments {
     /// Which scene
     scene: Scene,
     /// The OBJ file to write; its materials go beside it, as .mtl
     output: PathBuf,
-    /// How fine: courtyard: triangles grow with its square (1: 5 thousand, 18: a million, 56: ten million); quads: cells along a side;
-    /// slivers: needles; terrain, soup: triangles
+    /// How fine: courtyard: triangles grow with its square (1: 5 thousand, 18: a million, 56: ten million);
+    /// quads: cells along a side; slivers: needles; terrain, soup: triangles
     #[arg(long)]
     detail: Option<u32>,
+    /// How fine, as about so many triangles
+    #[arg(long, conflicts_with = "detail")]
+    triangles: Option<u32>,
     /// Seed of the random numbers, where the scene uses any
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -59,6 +62,16 @@ impl Scene {
         }
     }
 
+    /// The detail that comes nearest to a number of triangles.
+    fn detail_for(self, triangles: u32) -> u32 {
+        let per_square = |count: f64| ((f64::from(triangles) / count).sqrt().round() as u32).max(1);
+        match self {
+            Scene::Courtyard => per_square(3_300.0),
+            Scene::Quads => per_square(4.0),
+            _ => triangles,
+        }
+    }
+
     fn generate(self, detail: u32, seed: u64) -> Mesh {
         match self {
             Scene::CornellBox => generate::cornell_box(),
@@ -76,7 +89,8 @@ fn main() -> ExitCode {
     let arguments = Arguments::parse();
     cli::run("make-scene", || {
         let (default, largest) = arguments.scene.detail();
-        let detail = arguments.detail.unwrap_or(default);
+        let asked = arguments.triangles.map(|triangles| arguments.scene.detail_for(triangles));
+        let detail = arguments.detail.or(asked).unwrap_or(default);
         if !(1..=largest).contains(&detail) {
             return Err(Failure::new(format!("--detail {detail}: expected 1 to {largest} for this scene")));
         }
@@ -104,12 +118,16 @@ fn write(mesh: &Mesh, output: &Path, library: &Path) -> Result<(), Failure> {
         )));
     }
     let name = library.file_name().unwrap_or_default().to_string_lossy();
-    let create = |path: &Path| File::create(path).map_err(|e| FileError::new(path, "create", e));
-    let (mut obj_file, mut mtl_file) = (BufWriter::new(create(output)?), BufWriter::new(create(library)?));
+    let (mut obj_file, mut mtl_file) = (OutputFile::create(output)?, OutputFile::create(library)?);
     let progress = Progress::new("writing", obj::line_count(mesh) as u64);
-    obj::write(mesh, &name, &mut obj_file, &mut mtl_file, &progress)
-        .and_then(|()| obj_file.flush())
-        .and_then(|()| mtl_file.flush())
-        .map_err(|e| FileError::new(output, "write", e))?;
+    let (mut obj_text, mut mtl_text) = (BufWriter::new(&mut obj_file), BufWriter::new(&mut mtl_file));
+    let written = obj::write(mesh, &name, &mut obj_text, &mut mtl_text, &progress)
+        .and_then(|()| obj_text.flush())
+        .and_then(|()| mtl_text.flush());
+    // What is still buffered after an error is of no use.
+    drop((obj_text.into_parts(), mtl_text.into_parts()));
+    written.map_err(|error| obj_file.write_error(error))?;
+    mtl_file.commit()?;
+    obj_file.commit()?;
     Ok(())
 }

@@ -12,7 +12,7 @@ use super::reference::Reference;
 use super::{Bins, MAX_BINS};
 use crate::geometry::padded::PaddedAabb;
 use crate::probability::Probability;
-use glam::Vec4;
+use glam::{BVec4A, Vec4};
 use rayon::prelude::*;
 
 /// Nodes with more references are binned and divided by several threads.
@@ -69,14 +69,18 @@ impl Grid {
     #[inline(always)]
     fn bins(&self, centroid: Vec4) -> [usize; 3] {
         let position = self.position(centroid).min(self.last);
-        [position.x as usize, position.y as usize, position.z as usize]
+        [position.x, position.y, position.z].map(|at| {
+            // SAFETY: `at` is a number from 0 to 255: the centroid lies within the bounds that the grid was made from,
+            // which are finite, the scale is finite, and the last bin limits the product.
+            unsafe { at.to_int_unchecked::<i32>() as usize }
+        })
     }
 }
 
 /// Thinner centroid bounds are flat. Centroids are scaled so that a scene's are about 1.
 const MIN_EXTENT: f32 = 1e-30;
 
-/// Boxes and counts of up to `N` bins on each axis.
+/// Boxes and counts of up to `N` bins on each axis; `N` is a power of two.
 #[derive(Clone)]
 struct Histogram<const N: usize> {
     bounds: [[PaddedAabb; N]; 3],
@@ -93,6 +97,8 @@ impl<const N: usize> Histogram<N> {
             let bounds = reference.bounds();
             let bins = grid.bins(reference.centroid(grid.half_unit));
             for (axis, bin) in bins.into_iter().enumerate() {
+                // Changes nothing, but shows the compiler that no check is needed.
+                let bin = bin & (N - 1);
                 self.bounds[axis][bin] = self.bounds[axis][bin].union(&bounds);
                 self.counts[axis][bin] += 1;
             }
@@ -156,23 +162,18 @@ impl<const N: usize> Histogram<N> {
                 let cost = weight.of(left_count) * left + weight.of(right_count) * right;
                 if cost < least {
                     least = cost;
-                    best = Some((axis, candidate, left_count, left, right));
+                    best = Some((axis, candidate, left_count));
                 }
             }
         }
-        let (axis, candidate, left_count, left, right) = best?;
+        let (axis, candidate, left_count) = best?;
         let around = |bins: &[PaddedAabb]| bins.iter().fold(PaddedAabb::EMPTY, |sum, bin| sum.union(bin));
         Some(Split {
             plane: Plane::Bin { axis, bin: candidate + 1 },
-            left: Side {
-                primitives: left_count,
-                bounds: around(&self.bounds[axis][..=candidate]),
-                probability: left,
-            },
+            left: Side { primitives: left_count, bounds: around(&self.bounds[axis][..=candidate]) },
             right: Side {
                 primitives: total - left_count,
                 bounds: around(&self.bounds[axis][candidate + 1..bins]),
-                probability: right,
             },
         })
     }
@@ -237,6 +238,11 @@ impl NodeReferences for BinnedReferences<'_> {
         state: &P::State,
         weight: &W,
     ) -> Option<Split<Plane>> {
+        if let [left, right] = &*self.list {
+            // Nothing to choose, and a third of all inner nodes.
+            let side = |reference: &Reference| Side { primitives: 1, bounds: reference.bounds() };
+            return Some(Split { plane: Plane::Middle, left: side(left), right: side(right) });
+        }
         // The capacity is a constant so that the many small nodes do not pay for 32 bins.
         match self.bins.of(self.list.len()) {
             bins @ 0..=4 => self.find::<4, _, _>(bins, probability, state, weight),
@@ -258,8 +264,7 @@ impl NodeReferences for BinnedReferences<'_> {
                 at(a).total_cmp(&at(b)).then(a.triangle().cmp(&b.triangle()))
             });
         }
-        let side =
-            |part: &[Reference]| Side { primitives: part.len(), bounds: bounds(part), probability: 0.0 };
+        let side = |part: &[Reference]| Side { primitives: part.len(), bounds: bounds(part) };
         let (left, right) = self.list.split_at(middle);
         Split { plane: Plane::Middle, left: side(left), right: side(right) }
     }
@@ -272,8 +277,16 @@ impl NodeReferences for BinnedReferences<'_> {
             Plane::Bin { axis, bin } => {
                 let grid = Grid::new(&centroids, bins.of(list.len()), half_unit);
                 let [left, right] = if list.len() < PARALLEL {
-                    let (left, right) = spare.split_at_mut(left_count);
-                    divide_block(list, left, right, &grid, axis, bin)
+                    divide_block(
+                        list,
+                        &grid,
+                        axis,
+                        bin,
+                        |reference, goes_right, before_left, before_right| {
+                            let to = if goes_right { left_count + before_right } else { before_left };
+                            spare[to] = *reference;
+                        },
+                    )
                 } else {
                     divide_blocks(list, spare, left_count, &grid, axis, bin)
                 };
@@ -298,25 +311,43 @@ impl NodeReferences for BinnedReferences<'_> {
     }
 }
 
-/// Moves references to `left` or `right`, in order, and returns the bounds of both sides' centroids.
+/// Divides references, in order, and returns the bounds of both sides' centroids. `store` is given each reference,
+/// whether it goes right, and how many went to the left and to the right before it.
+#[inline(always)]
 fn divide_block(
     references: &[Reference],
-    left: &mut [Reference],
-    right: &mut [Reference],
     grid: &Grid,
     axis: usize,
     bin: usize,
+    mut store: impl FnMut(&Reference, bool, usize, usize),
 ) -> [PaddedAabb; 2] {
-    let mut centroids = [PaddedAabb::EMPTY; 2];
-    let mut next = [0, 0];
+    // No branch depends on the side: it would be mispredicted half of the time. A lane that is above the threshold
+    // on an axis other than the chosen one is ruled out by an infinite threshold there.
+    let mut threshold = Vec4::INFINITY;
+    threshold[axis] = bin as f32;
+    let [mut left, mut right] = [PaddedAabb::EMPTY; 2];
+    let (mut left_count, mut right_count) = (0, 0);
     for reference in references {
         let centroid = reference.centroid(grid.half_unit);
-        let side = (grid.position(centroid)[axis] >= bin as f32) as usize;
-        centroids[side] = centroids[side].grown(centroid);
-        [&mut *left, &mut *right][side][next[side]] = *reference;
-        next[side] += 1;
+        let goes_right = grid.position(centroid).cmpge(threshold).bitmask() != 0;
+        store(reference, goes_right, left_count, right_count);
+        left_count += !goes_right as usize;
+        right_count += goes_right as usize;
+        let is_right = BVec4A::splat(goes_right);
+        let select = |identity: f32, on_right: bool| {
+            let identity = Vec4::splat(identity);
+            if on_right {
+                Vec4::select(is_right, centroid, identity)
+            } else {
+                Vec4::select(is_right, identity, centroid)
+            }
+        };
+        left.lower = left.lower.min(select(f32::INFINITY, false));
+        left.upper = left.upper.max(select(f32::NEG_INFINITY, false));
+        right.lower = right.lower.min(select(f32::INFINITY, true));
+        right.upper = right.upper.max(select(f32::NEG_INFINITY, true));
     }
-    centroids
+    [left, right]
 }
 
 /// [`divide_block`] on several threads: a first pass counts, so that each block knows where its references go.
@@ -341,6 +372,10 @@ fn divide_blocks(
     }
     blocks
         .into_par_iter()
-        .map(|(block, left, right)| divide_block(block, left, right, grid, axis, bin))
+        .map(|(block, left, right)| {
+            divide_block(block, grid, axis, bin, |reference, goes_right, before_left, before_right| {
+                *if goes_right { &mut right[before_right] } else { &mut left[before_left] } = *reference;
+            })
+        })
         .reduce(|| [PaddedAabb::EMPTY; 2], |a, b| [a[0].union(&b[0]), a[1].union(&b[1])])
 }

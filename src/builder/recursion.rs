@@ -6,6 +6,11 @@
 //! threads without a lock, and the bytes cannot depend on which came first. Depth first also is what a traversal
 //! reads: its next node is usually the pair behind the current one. With leaves of more than one primitive the places
 //! that stayed empty are closed at the end.
+//!
+//! # Leaves
+//! Every subtree is built down to single primitives. On the way back, one that holds few enough becomes a leaf when
+//! that costs no more (SAH: 2 c_I · P + cost of the children, against c_P · n · P). So the choice is the best for this
+//! topology; stopping on the way down would miss splits that pay only two levels later.
 
 use super::binned::BinnedReferences;
 use super::cost::Weight;
@@ -16,7 +21,6 @@ use crate::geometry::padded::PaddedAabb;
 use crate::probability::Probability;
 use crate::progress::Progress;
 use crate::tree::{Node, Tree};
-use bytemuck::Zeroable;
 
 /// Subtrees with fewer primitives are built by one thread.
 const SEQUENTIAL: usize = 1 << 12;
@@ -26,8 +30,6 @@ const SEQUENTIAL: usize = 1 << 12;
 pub struct Side {
     pub primitives: usize,
     pub bounds: PaddedAabb,
-    /// P of `bounds`.
-    pub probability: f32,
 }
 
 /// A way to divide the references of a node.
@@ -55,7 +57,6 @@ pub trait NodeReferences: Send + Sized {
     ) -> Option<Split<Self::Plane>>;
 
     /// A split in the middle, for when no candidate will do. Both sides have at least half, rounded down.
-    /// Probabilities of the sides are left at 0.
     fn halves(&mut self) -> Split<Self::Plane>;
 
     /// Carries `split` out.
@@ -88,13 +89,21 @@ struct Job<'a, R, S> {
     first_primitive: usize,
 }
 
+/// What was built, without the nodes below that are already in their places.
+struct Subtree {
+    node: Node,
+    /// SAH cost, in the measure of the probability; only right where a leaf is possible.
+    cost: f64,
+}
+
 impl<P: Probability, W: Weight> Builder<'_, P, W> {
     /// Builds the tree over `references`, of which there is at least one.
     pub fn run(&self, references: References) -> Tree {
         let References { mut list, bounds, half_unit } = references;
         match self.config.splits {
             Splits::Binned { bins } => {
-                let mut spare = vec![Reference::zeroed(); list.len()];
+                // Zeroed by the system, page by page when it is first touched, on the thread that does.
+                let mut spare: Vec<Reference> = bytemuck::zeroed_vec(list.len());
                 self.root(BinnedReferences::new(&mut list, &mut spare, half_unit, bins), bounds)
             }
             Splits::Sweep => {
@@ -106,33 +115,45 @@ impl<P: Probability, W: Weight> Builder<'_, P, W> {
 
     fn root<R: NodeReferences>(&self, references: R, bounds: PaddedAabb) -> Tree {
         let count = references.len();
-        let mut nodes = vec![Node::zeroed(); 2 * count - 1];
+        let mut nodes: Vec<Node> = bytemuck::zeroed_vec(2 * count - 1);
         let mut primitives = vec![0; count];
         let state = self.probability.root(&bounds);
         let (root, below) = nodes.split_at_mut(1);
-        root[0] = self.subtree(Job {
-            references,
-            bounds,
-            state,
-            level: 1,
-            nodes: below,
-            first_node: 1,
-            primitives: &mut primitives,
-            first_primitive: 0,
-        });
+        root[0] = self
+            .subtree(Job {
+                references,
+                bounds,
+                state,
+                level: 1,
+                nodes: below,
+                first_node: 1,
+                primitives: &mut primitives,
+                first_primitive: 0,
+            })
+            .node;
         if self.config.max_leaf > 1 {
             close_gaps(&mut nodes);
         }
         Tree { nodes, primitives }
     }
 
-    /// Builds a subtree and returns its topmost node, for the caller to put beside its sibling.
-    fn subtree<R: NodeReferences>(&self, mut job: Job<R, P::State>) -> Node {
+    /// Builds a subtree. Its topmost node is for the caller to put beside its sibling.
+    fn subtree<R: NodeReferences>(&self, mut job: Job<R, P::State>) -> Subtree {
         let count = job.references.len();
-        let Some(split) = self.choose(&mut job) else {
-            job.references.triangles(job.primitives);
-            return Node::leaf(job.bounds.into(), job.first_primitive as u32, count as u32);
+        let may_be_leaf = count <= self.config.max_leaf;
+        // Asked before the state goes to the children, and only where it decides something.
+        let probability =
+            if may_be_leaf { self.probability.node(&job.state, &job.bounds) as f64 } else { 0.0 };
+        let leaf = Subtree {
+            node: Node::leaf(job.bounds.into(), job.first_primitive as u32, count as u32),
+            cost: self.config.c_p * count as f64 * probability,
         };
+        if count == 1 {
+            job.references.triangles(job.primitives);
+            return leaf;
+        }
+        let split = job.references.best_split(self.probability, &job.state, &self.weight);
+        let split = split.filter(|split| fits(split, job.level)).unwrap_or_else(|| job.references.halves());
         let (left_references, right_references) = job.references.divide(&split);
         let (left_state, right_state) =
             self.probability.split(job.state, &split.left.bounds, &split.right.bounds);
@@ -160,49 +181,27 @@ impl<P: Probability, W: Weight> Builder<'_, P, W> {
             primitives: right_primitives,
             first_primitive: job.first_primitive + split.left.primitives,
         };
-        if count >= SEQUENTIAL {
-            (pair[0], pair[1]) = rayon::join(|| self.reported(left), || self.reported(right));
+        let (left, right) = if count >= SEQUENTIAL {
+            rayon::join(|| self.reported(left), || self.reported(right))
         } else {
-            pair[0] = self.subtree(left);
-            pair[1] = self.subtree(right);
+            (self.subtree(left), self.subtree(right))
+        };
+        let cost = 2.0 * self.config.c_i * probability + left.cost + right.cost;
+        if may_be_leaf && leaf.cost <= cost {
+            return leaf;
         }
-        Node::inner(job.bounds.into(), job.first_node as u32, 2)
+        (pair[0], pair[1]) = (left.node, right.node);
+        Subtree { node: Node::inner(job.bounds.into(), job.first_node as u32, 2), cost }
     }
 
     /// Builds a subtree, and tells the progress when it is one that a single thread builds.
-    fn reported<R: NodeReferences>(&self, job: Job<R, P::State>) -> Node {
+    fn reported<R: NodeReferences>(&self, job: Job<R, P::State>) -> Subtree {
         let count = job.references.len();
-        let node = self.subtree(job);
+        let subtree = self.subtree(job);
         if count < SEQUENTIAL {
             self.progress.advance(count as u64);
         }
-        node
-    }
-
-    /// The split of a node, or `None` for a leaf.
-    #[inline]
-    fn choose<R: NodeReferences>(&self, job: &mut Job<R, P::State>) -> Option<Split<R::Plane>> {
-        let count = job.references.len();
-        if count == 1 {
-            return None;
-        }
-        let best = job.references.best_split(self.probability, &job.state, &self.weight);
-        let may_be_leaf = count <= self.config.max_leaf;
-        match best {
-            Some(split) if may_be_leaf && !self.pays(&split, job) => None,
-            Some(split) if fits(&split, job.level) => Some(split),
-            None if may_be_leaf => None,
-            _ => Some(job.references.halves()),
-        }
-    }
-
-    /// Whether splitting a node costs less than making it a leaf: two box tests more, fewer primitive tests.
-    fn pays<R, Plane>(&self, split: &Split<Plane>, job: &Job<R, P::State>) -> bool {
-        let node = self.probability.node(&job.state, &job.bounds) as f64;
-        let tests = |side: &Side| side.primitives as f64 * side.probability as f64;
-        let both = split.left.primitives + split.right.primitives;
-        2.0 * self.config.c_i * node + self.config.c_p * (tests(&split.left) + tests(&split.right))
-            < self.config.c_p * both as f64 * node
+        subtree
     }
 }
 

@@ -65,7 +65,7 @@ const BLOCK: usize = 1 << 14;
 impl References {
     /// One reference for each triangle with finite vertices, in order; the others are left out, as Embree does.
     pub fn of(triangles: &[Triangle]) -> References {
-        let mut list = vec![Reference::zeroed(); triangles.len()];
+        let mut list: Vec<Reference> = bytemuck::zeroed_vec(triangles.len());
         let (bounds, finite) = list
             .par_chunks_mut(BLOCK)
             .zip(triangles.par_chunks(BLOCK))

@@ -10,7 +10,6 @@ use super::recursion::{NodeReferences, Side, Split};
 use super::reference::Reference;
 use crate::geometry::padded::PaddedAabb;
 use crate::probability::Probability;
-use bytemuck::Zeroable;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -77,7 +76,7 @@ impl SweepReferences<'_> {
             order.par_sort_unstable();
             Column {
                 sorted: order.par_iter().map(|&(_, index)| list[index as usize]).collect(),
-                spare: vec![Reference::zeroed(); list.len()],
+                spare: bytemuck::zeroed_vec(list.len()),
             }
         });
         Columns { axes, goes_right: (0..=largest).map(|_| AtomicBool::new(false)).collect() }
@@ -95,8 +94,6 @@ fn ordered_bits(value: f32) -> u32 {
 struct Candidate {
     cost: f32,
     left_count: usize,
-    left: f32,
-    right: f32,
 }
 
 impl Range<'_> {
@@ -126,7 +123,7 @@ impl Range<'_> {
             let cost = weight.of(index + 1) * left + weight.of(count - index - 1) * right;
             if cost < least {
                 least = cost;
-                best = Some(Candidate { cost, left_count: index + 1, left, right });
+                best = Some(Candidate { cost, left_count: index + 1 });
             }
         }
         best
@@ -183,17 +180,12 @@ impl NodeReferences for SweepReferences<'_> {
                 best = Some((axis, candidate));
             }
         }
-        let (axis, Candidate { left_count, left, right, .. }) = best?;
-        let side = |range: std::ops::Range<usize>, probability| Side {
+        let (axis, Candidate { left_count, .. }) = best?;
+        let side = |range: std::ops::Range<usize>| Side {
             primitives: range.len(),
             bounds: self.axes[axis].bounds(range),
-            probability,
         };
-        Some(Split {
-            plane: Plane { axis },
-            left: side(0..left_count, left),
-            right: side(left_count..count, right),
-        })
+        Some(Split { plane: Plane { axis }, left: side(0..left_count), right: side(left_count..count) })
     }
 
     /// Halves of the order on the axis where the centroids are widest apart.
@@ -213,7 +205,6 @@ impl NodeReferences for SweepReferences<'_> {
         let side = |range: std::ops::Range<usize>| Side {
             primitives: range.len(),
             bounds: self.axes[axis].bounds(range),
-            probability: 0.0,
         };
         Split { plane: Plane { axis }, left: side(0..middle), right: side(middle..count) }
     }

@@ -1,6 +1,7 @@
 //! Which queries of a file take part: a filter on what they are, and a sample spread over the file.
 
-use crate::format::rays::{NO_DEPTH, Purpose, Record, kind};
+use crate::format::rays::{NO_DEPTH, NO_PATH, Purpose, Record, kind};
+use std::fmt;
 use std::ops::Range;
 use std::str::FromStr;
 use thiserror::Error;
@@ -57,6 +58,31 @@ impl Filter {
             && self.kind.is_none_or(|kind| kind == record.kind)
             && self.depth.is_none_or(|depth| depth.holds(record.depth.into(), NO_DEPTH.into()))
             && self.path.is_none_or(|path| path.holds(record.path, u32::MAX))
+    }
+}
+
+impl fmt::Display for Bounds {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match *self {
+            Bounds::Unknown => f.write_str("unknown"),
+            Bounds::Within(first, last) if first == last => write!(f, "{first}"),
+            Bounds::Within(first, u32::MAX) => write!(f, "{first}.."),
+            Bounds::Within(first, last) => write!(f, "{first}..={last}"),
+        }
+    }
+}
+
+/// As it is typed.
+impl fmt::Display for Filter {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let names: Vec<&str> = self.purposes.iter().map(|purpose| purpose.name()).collect();
+        let conditions = [
+            (!names.is_empty()).then(|| format!("purpose={}", names.join("+"))),
+            self.kind.map(|kind| format!("kind={}", if kind == kind::OCCLUSION { "occlusion" } else { "closest" })),
+            self.depth.map(|depth| format!("depth={depth}")),
+            self.path.map(|path| format!("path={path}")),
+        ];
+        f.write_str(&conditions.into_iter().flatten().collect::<Vec<String>>().join(","))
     }
 }
 
@@ -152,6 +178,30 @@ impl Sample {
     }
 }
 
+/// Queries that follow each other count as one pixel where the pixel is not known: neighbours must not leak.
+const NEIGHBOURS: u64 = 256;
+
+/// Parts queries by pixel, all queries of a pixel on one side: about `share` of the pixels train a tree, the others are
+/// held out. What is decided depends on the seed and the pixel alone, so a builder and a comparison agree without a word.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Portion {
+    /// Share of the pixels that train, 0 to 1.
+    pub share: f64,
+    pub seed: u64,
+}
+
+impl Portion {
+    /// Whether the query, which has this number in the file, is for training.
+    pub fn trains(&self, record: &Record, number: u64) -> bool {
+        let pixel = match record.path {
+            NO_PATH => (1 << 32) + number / NEIGHBOURS,
+            path => u64::from(path),
+        };
+        let uniform = (mixed(pixel ^ mixed(self.seed)) >> 11) as f64 / (1u64 << 53) as f64;
+        uniform < self.share
+    }
+}
+
 /// The finaliser of SplitMix64.
 fn mixed(value: u64) -> u64 {
     let mut z = value.wrapping_add(0x9E37_79B9_7F4A_7C15);
@@ -191,6 +241,7 @@ mod tests {
         ] {
             let filter: Filter = text.parse().expect(text);
             assert_eq!([shadow, camera, unknown].map(|r| filter.accepts(&r)), expected, "{text}");
+            assert_eq!(filter.to_string().parse(), Ok(filter), "{text}");
         }
     }
 
@@ -215,6 +266,24 @@ mod tests {
             let error = text.parse::<Filter>().expect_err(text).to_string();
             assert!(error.starts_with("filter "), "{error}");
         }
+    }
+
+    #[test]
+    fn portions_keep_pixels_whole_and_have_their_share() {
+        let portion = Portion { share: 0.1, seed: 7 };
+        let at = |path| record(Purpose::Camera, kind::CLOSEST_HIT, 0, path);
+        let training = (0..100_000).filter(|&path| portion.trains(&at(path), u64::from(path))).count();
+        assert!((9_500..10_500).contains(&training), "{training}");
+        for path in 0..1000 {
+            let (a, b) = (portion.trains(&at(path), 1), portion.trains(&at(path), 1 << 40));
+            assert_eq!(a, b, "a known pixel decides alone");
+        }
+        let unknown = |number| portion.trains(&at(NO_PATH), number);
+        assert!((0..1000).all(|block| unknown(block * 256) == unknown(block * 256 + 255)));
+        let other = Portion { seed: 8, ..portion };
+        assert!((0..1000).any(|path| portion.trains(&at(path), 0) != other.trains(&at(path), 0)));
+        assert!((0..1000).all(|path| !Portion { share: 0.0, seed: 1 }.trains(&at(path), 0)));
+        assert!((0..1000).all(|path| Portion { share: 1.0, seed: 1 }.trains(&at(path), 0)));
     }
 
     #[test]

@@ -22,8 +22,8 @@ pub fn render(comparison: &Comparison) -> String {
     }
     let costs = &comparison.settings.costs;
     text += &format!(
-        "\nΓ = {} · box tests + {} · primitive tests. \"vs first\" is Γ relative to the first tree. T_R: inner nodes that\n\
-         the queries' effective segments overlap. Γ_R: the same cost, strictly front to back over those segments.\n",
+        "\nΓ = {} · box tests + {} · primitive tests. ratio: to the first tree's. µs: on one thread, counting\n\
+         included. T_R: inner nodes that effective segments overlap. Γ_R: Γ strictly front to back over those.\n",
         costs.c_i, costs.c_p
     );
     text
@@ -31,7 +31,7 @@ pub fn render(comparison: &Comparison) -> String {
 
 /// What each tree is called: the end of its path, as short as tells the trees apart at a glance.
 fn names(comparison: &Comparison) -> Vec<String> {
-    const LONGEST: usize = 22;
+    const LONGEST: usize = 16;
     let paths = || comparison.trees.iter().map(|tree| tree.path.as_str());
     let stem = |path: &str| {
         let file = path.rsplit('/').next().unwrap_or(path);
@@ -91,7 +91,7 @@ fn summary(comparison: &Comparison, names: &[String]) -> Table {
             ]);
         }
     }
-    let header = ["Tree", "Order", "boxes", "visits", "prims", "Γ", "vs first", "µs", "wrong", "borderline"];
+    let header = ["Tree", "Order", "boxes", "visits", "prims", "Γ", "ratio", "µs", "wrong", "borderline"];
     table(&header, 2, rows)
 }
 
@@ -114,7 +114,7 @@ fn trees(comparison: &Comparison, names: &[String]) -> Table {
         ]
     };
     let rows = comparison.trees.iter().zip(names).map(row).collect();
-    table(&["Tree", "nodes", "leaves", "depth", "width", "SAH", "T_R", "Γ_R", "vs first"], 1, rows)
+    table(&["Tree", "nodes", "leaves", "depth", "width", "SAH", "T_R", "Γ_R", "ratio"], 1, rows)
 }
 
 /// Depths beyond this stand in JSON and CSV only.
@@ -155,7 +155,7 @@ fn breakdown(comparison: &Comparison, names: &[String], run: usize) -> Table {
             ]);
         }
     }
-    let header = ["Queries", "Tree", "count", "boxes", "median", "p99", "visits", "prims", "Γ", "vs first"];
+    let header = ["Queries", "Tree", "count", "boxes", "median", "p99", "visits", "prims", "Γ", "ratio"];
     table(&header, 2, rows)
 }
 

@@ -9,7 +9,7 @@ use crate::geometry::{Aabb, Ray, Vec3};
 
 /// Relative enlargement of far distances: a near distance has at most 3 roundings (difference, inverse, product), a far
 /// one 4 (its padded inverse is rounded too), so 7 × 2⁻²⁴ is needed and 8 × 2⁻²⁴ given.
-const PADDING: f32 = 8.0 / (1 << 24) as f32;
+pub(crate) const PADDING: f32 = 8.0 / (1 << 24) as f32;
 
 /// Direction components outside of this range (zero apart) have no inverse that is exact to one rounding.
 const INVERTIBLE: std::ops::RangeInclusive<f32> = 1e-30..=1e30;
@@ -32,11 +32,11 @@ pub struct PreparedRay {
     pub tnear: f32,
     pub tfar: f32,
     /// 1 / direction, for distances to near faces.
-    pub(super) near_inverse: Vec3,
+    pub(crate) near_inverse: Vec3,
     /// 1 / direction, padded, for distances to far faces.
-    pub(super) far_inverse: Vec3,
+    pub(crate) far_inverse: Vec3,
     /// Per axis: 1 when the ray runs downwards, so that a box's upper face is the near one.
-    pub(super) downwards: [usize; 3],
+    pub(crate) downwards: [usize; 3],
 }
 
 impl PreparedRay {

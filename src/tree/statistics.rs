@@ -1,6 +1,7 @@
 //! What a tree looks like, without any ray: counts, depth, SAH cost.
 
-use super::TreeView;
+use super::{Node, TreeView};
+use crate::geometry::DVec3;
 
 /// Counts of a tree.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -39,14 +40,57 @@ impl Statistics {
 /// SAH cost (Goldsmith and Salmon 1987): Σ inner area/root area · `c_i` · children + Σ leaf area/root area · `c_p` · primitives.
 /// 0 for a tree whose root has no area.
 pub fn sah_cost(tree: TreeView, c_i: f64, c_p: f64) -> f64 {
-    let root_area = tree.nodes.first().map_or(0.0, |root| root.bounds().area() as f64);
+    // In double precision: coordinates of 1e38 are legal, their products are not in single.
+    let area = |node: &Node| {
+        let edge = (node.upper.as_dvec3() - node.lower.as_dvec3()).max(DVec3::ZERO);
+        edge.x * edge.y + edge.y * edge.z + edge.z * edge.x
+    };
+    let root_area = tree.nodes.first().map_or(0.0, area);
     if !root_area.is_finite() || root_area <= 0.0 {
         return 0.0;
     }
     let cost: f64 = tree
         .nodes
         .iter()
-        .map(|node| node.bounds().area() as f64 * node.len() as f64 * if node.is_leaf() { c_p } else { c_i })
+        .map(|node| area(node) * node.len() as f64 * if node.is_leaf() { c_p } else { c_i })
         .sum();
     cost / root_area
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Aabb, Vec3};
+    use crate::tree::Tree;
+
+    /// A root of 2 × 1 × 1 over two unit cubes with 1 and 3 primitives, times `scale`.
+    fn two_cubes(scale: f32) -> Tree {
+        let cube = |x: f32| Aabb {
+            lower: scale * Vec3::new(x, 0.0, 0.0),
+            upper: scale * Vec3::new(x + 1.0, 1.0, 1.0),
+        };
+        let nodes = vec![
+            Node::inner(cube(0.0).union(&cube(1.0)), 1, 2),
+            Node::leaf(cube(0.0), 0, 1),
+            Node::leaf(cube(1.0), 1, 3),
+        ];
+        Tree { nodes, primitives: vec![0, 1, 2, 3] }
+    }
+
+    #[test]
+    fn counts_are_those_of_the_tree() {
+        let statistics = Statistics::of(two_cubes(1.0).view());
+        let expected = Statistics { nodes: 3, leaves: 2, depth: 2, max_children: 2, max_leaf: 3 };
+        assert_eq!(statistics, expected);
+    }
+
+    #[test]
+    fn sah_cost_is_the_formulas_at_any_scale() {
+        // Areas 10 and 6, 6: 2 box tests, and 6/10 · (1 + 3) primitive tests.
+        for scale in [1.0, 1e-18, 1e37] {
+            let cost = sah_cost(two_cubes(scale).view(), 0.6, 1.0);
+            assert!((cost - (0.6 * 2.0 + 0.6 * 4.0)).abs() < 1e-6, "{cost}");
+        }
+        assert_eq!(sah_cost(two_cubes(0.0).view(), 0.6, 1.0), 0.0);
+    }
 }

@@ -121,3 +121,50 @@ fn boxes(tree: &Tree, triangles: &[Triangle]) -> Result<(), InvalidTree> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Vec3;
+
+    /// Two triangles that are finite and one that is not, under a root with two leaves.
+    fn scene() -> (Tree, Vec<Triangle>) {
+        let at = |x: f32| Triangle([Vec3::splat(x), Vec3::new(x + 1.0, x, x), Vec3::new(x, x + 1.0, x)]);
+        let triangles = vec![at(0.0), Triangle([Vec3::NAN; 3]), at(5.0)];
+        let (left, right) = (triangles[0].bounds(), triangles[2].bounds());
+        let nodes =
+            vec![Node::inner(left.union(&right), 1, 2), Node::leaf(left, 0, 1), Node::leaf(right, 1, 1)];
+        (Tree { nodes, primitives: vec![0, 2] }, triangles)
+    }
+
+    #[test]
+    fn each_violation_is_found() {
+        let (tree, triangles) = scene();
+        assert_eq!(validate(&tree, &triangles, 2), Ok(()));
+        assert_eq!(validate(&tree, &triangles, 1), Err(InvalidTree::Depth { depth: 2, limit: 1 }));
+        let broken = |change: fn(&mut Tree)| {
+            let mut tree = tree.clone();
+            change(&mut tree);
+            let error = validate(&tree, &triangles, 9).expect_err("broken");
+            error.to_string()
+        };
+        for (change, message) in [
+            ((|t| t.nodes.clear()) as fn(&mut Tree), "there is no node"),
+            (|t| t.nodes[1].count = crate::tree::LEAF_BIT, "node 1 is empty"),
+            (|t| t.nodes[0].first = 0, "inner node 0 has 2 children from 0"),
+            (|t| t.nodes[0].count = 3, "inner node 0 has 3 children from 1"),
+            (|t| t.nodes[2].first = 2, "leaf 2 has 1 primitives from 2"),
+            (|t| t.nodes.push(t.nodes[2]), "node 3 has 0 parents"),
+            (|t| t.nodes[2].first = 0, "entry 0 of the primitives is in 2 leaves"),
+            (|t| t.primitives.push(1), "entry 2 of the primitives is in 0 leaves"),
+            (|t| t.primitives[1] = 7, "entry 1 of the primitives is triangle 7 of 3"),
+            (|t| t.primitives[1] = 0, "triangle 0 is in 2 leaves"),
+            (|t| t.primitives[1] = 1, "triangle 1 is not finite"),
+            (|t| t.nodes[2].upper.x += 1.0, "the box of node 0"),
+            (|t| t.nodes[2].lower.y += 0.5, "the box of node 2"),
+        ] {
+            let error = broken(change);
+            assert!(error.starts_with(message), "{error}, expected {message}");
+        }
+    }
+}

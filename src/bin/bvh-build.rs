@@ -1,0 +1,313 @@
+//! `bvh-build IN.bvh OUT.bvh`: the same triangles, another tree.
+
+use clap::Parser;
+use clap::ValueEnum;
+use embree_trace::builder::{Config, Count, Splits};
+use embree_trace::cli::{self, Failure, Outcome, TextOrJson};
+use embree_trace::files::{MappedFile, OutputFile};
+use embree_trace::format::bvh::{self, Bvh, Contents, flag};
+use embree_trace::format::rays::Rays;
+use embree_trace::geometry::Ray;
+use embree_trace::optimize::{Report, Stage, annealing, insertion, reinsertion, rotations};
+use embree_trace::progress::Progress;
+use embree_trace::recipe::{Heuristic, Made, Recipe};
+use embree_trace::replay::select::{Filter, Portion};
+use embree_trace::training::Selection;
+use embree_trace::tree::TreeView;
+use embree_trace::tree::statistics::{Statistics, sah_cost};
+use serde_json::{Value, json};
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+
+/// Rebuild the tree of a .bvh from its triangles: a binary tree, greedy from the top, with surface area or recorded rays as
+/// the probability that a box is hit, and optimised afterwards when asked.
+///
+/// The output is the same, byte for byte, for any number of threads.
+#[derive(Parser)]
+#[command(
+    version,
+    after_help = "\
+Examples:
+  bvh-build embBuilt.bvh ours.bvh                            binned SAH, one triangle a leaf
+  bvh-build embBuilt.bvh ours.bvh --splits sweep             every possible cut: slower, better
+  bvh-build embBuilt.bvh ours.bvh --splits sweep --alpha 0.88
+  bvh-build embBuilt.bvh ours.bvh --max-leaf 8               leaves of up to 8 where that lowers the SAH cost
+  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays       a tree for these rays: blend 0.95
+  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --splits sweep --optimize rotations
+  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --filter kind=closest --train 0.1
+
+Exit codes: 0 good, 2 bad input or usage."
+)]
+struct Arguments {
+    /// The .bvh whose triangles to build over
+    input: PathBuf,
+    /// The .bvh to write
+    output: PathBuf,
+    /// Candidates at each node: binned (min(32, 4 + n/20) bins an axis), binned:N, or sweep
+    #[arg(long, default_value = "binned", value_name = "KIND")]
+    splits: Splits,
+    /// Exponent of the count in a side's cost, count^ALPHA · P
+    #[arg(long, default_value_t = 1.0, value_name = "ALPHA", allow_negative_numbers = true)]
+    alpha: f64,
+    /// The count in a side's cost: n-1 or n
+    #[arg(long, default_value = "n-1", value_name = "COUNT")]
+    count: Count,
+    /// Most triangles in a leaf; above 1, subtrees become leaves where that does not raise the SAH cost
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    max_leaf: usize,
+    /// Cost of a box test, for the SAH cost that is printed and for leaves
+    #[arg(long, default_value_t = 1.0, value_name = "COST", allow_negative_numbers = true)]
+    ci: f64,
+    /// Cost of a triangle test, for the same
+    #[arg(long, default_value_t = 1.0, value_name = "COST", allow_negative_numbers = true)]
+    cp: f64,
+    /// A recording of the scene: its queries are the rays that the tree is for
+    #[arg(long, value_name = "RAYS")]
+    rays: Option<PathBuf>,
+    /// How likely a box is hit: its area, the queries that overlap it, or both; without this, blend where there are rays
+    #[arg(long, value_enum)]
+    heuristic: Option<Kind>,
+    /// Weight of the rays in a blend: 0 is area, 1 is rays
+    #[arg(long, default_value_t = 0.95, value_name = "W", allow_negative_numbers = true)]
+    weight: f64,
+    /// Added to every count of rays (rdh), so that a box without rays still has a cost
+    #[arg(long, default_value_t = 0.0, value_name = "RAYS", allow_negative_numbers = true)]
+    floor: f64,
+    /// Train with these queries only, written as for bvh-compare: purpose=camera+diffuse,depth=1..
+    #[arg(long, default_value = "", hide_default_value = true)]
+    filter: Filter,
+    /// Train with the queries of this share of the pixels; bvh-compare --held-out counts on the others
+    #[arg(long, default_value_t = 1.0, value_name = "FRACTION", value_parser = share)]
+    train: f64,
+    /// Train with at most this many queries, evenly chosen
+    #[arg(long, default_value_t = 1 << 20, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1 << 31))]
+    train_limit: u64,
+    /// The queries of this scene, when the recording holds several
+    #[arg(long, default_value_t = 0)]
+    scene: u16,
+    /// Optimisers to run after the build, in this order, with the same heuristic
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "NAMES")]
+    optimize: Vec<Optimizer>,
+    /// Sweeps of annealing, rounds of insertion, batches of reinsertion; 0 is the default of each
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    iterations: u32,
+    /// Seed of --train and of the optimisers
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Threads to build with; 0 is one per processor
+    #[arg(long, default_value_t = 0, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=1024))]
+    threads: u16,
+    /// How to print what was built
+    #[arg(long, value_enum, default_value_t = TextOrJson::Text)]
+    format: TextOrJson,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Kind {
+    /// Surface area
+    Sah,
+    /// Number of queries whose effective segments overlap the box
+    Rdh,
+    /// --weight · rays + (1 - weight) · area
+    Blend,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Optimizer {
+    /// Children and grandchildren exchanged while it pays (Kensler 2008)
+    Rotations,
+    /// The same with simulated annealing (Kensler 2008)
+    Annealing,
+    /// Inefficient nodes inserted anew (Bittner et al. 2013)
+    Insertion,
+    /// Every subtree to its best place, in parallel (Meister and Bittner 2018)
+    Reinsertion,
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(share) if share > 0.0 && share <= 1.0 => Ok(share),
+        _ => Err("expected a number above 0 and at most 1".into()),
+    }
+}
+
+impl Arguments {
+    fn recipe(&self) -> Recipe {
+        let kind = self.heuristic.unwrap_or(if self.rays.is_some() { Kind::Blend } else { Kind::Sah });
+        let heuristic = match kind {
+            Kind::Sah => Heuristic::Sah,
+            Kind::Rdh => Heuristic::Rdh { floor: self.floor },
+            Kind::Blend => Heuristic::Blend { weight: self.weight },
+        };
+        let builder = Config {
+            splits: self.splits,
+            alpha: self.alpha,
+            count: self.count,
+            max_leaf: self.max_leaf,
+            c_i: self.ci,
+            c_p: self.cp,
+        };
+        Recipe { heuristic, builder, stages: self.optimize.iter().map(|&name| self.stage(name)).collect() }
+    }
+
+    fn stage(&self, optimizer: Optimizer) -> Stage {
+        let seed = self.seed;
+        let or = |default: usize| if self.iterations == 0 { default } else { self.iterations as usize };
+        match optimizer {
+            Optimizer::Rotations => Stage::Rotations(rotations::Config::default()),
+            Optimizer::Annealing => {
+                let default = annealing::Config::default();
+                Stage::Annealing(annealing::Config { iterations: or(default.iterations), seed, ..default })
+            }
+            Optimizer::Insertion => {
+                let default = insertion::Config::default();
+                Stage::Insertion(insertion::Config { rounds: or(default.rounds), seed, ..default })
+            }
+            Optimizer::Reinsertion => {
+                let default = reinsertion::Config::default();
+                Stage::Reinsertion(reinsertion::Config { batches: or(default.batches), ..default })
+            }
+        }
+    }
+
+    /// The effective segments of the training queries; none without a recording.
+    fn training(&self, bvh: &Bvh) -> Result<Vec<Ray>, Failure> {
+        let Some(path) = &self.rays else { return Ok(Vec::new()) };
+        let at = |error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", path.display()));
+        let bytes = MappedFile::open(path)?;
+        let rays = Rays::parse(&bytes).map_err(|error| at(&error))?;
+        let selection = Selection {
+            scene: self.scene,
+            filter: self.filter.clone(),
+            portion: Portion { share: self.train, seed: self.seed },
+            most: self.train_limit as usize,
+        };
+        selection.read(&rays, bvh).map_err(|error| at(&error))
+    }
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    cli::run("bvh-build", || run(&arguments))
+}
+
+fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
+    let recipe = arguments.recipe();
+    recipe.check()?;
+    let in_input =
+        |error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", arguments.input.display()));
+    let bytes = MappedFile::open(&arguments.input)?;
+    let before = Bvh::parse(&bytes).map_err(|error| in_input(&error))?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(arguments.threads.into()).build()?;
+    let training = pool.install(|| arguments.training(&before))?;
+    let mut output = OutputFile::create(&arguments.output)?;
+
+    let progress = Progress::new("building", (before.triangles.len() + recipe.stages.len()) as u64);
+    let started = Instant::now();
+    let made = pool
+        .install(|| recipe.make(before.triangles, &training, &progress))
+        .map_err(|error| in_input(&error))?;
+    let seconds = started.elapsed().as_secs_f64();
+    drop(progress);
+    let Made { tree, optimized } = made;
+
+    let mut meta = recipe.meta();
+    if recipe.heuristic.needs_rays() {
+        meta["training"] = json!({
+            "queries": training.len(), "filter": arguments.filter.to_string(), "train": arguments.train, "seed": arguments.seed,
+        });
+    }
+    // Where the image's size is known, it stays known.
+    let recorded = before.meta.and_then(|meta| serde_json::from_str::<Value>(meta).ok());
+    if let Some(image) = recorded.as_ref().and_then(|meta| meta.get("image")) {
+        meta["image"] = image.clone();
+    }
+    let contents = Contents {
+        tree: tree.view(),
+        triangles: before.triangles,
+        geometries: before.geometries,
+        order: None,
+        meta: Some(&meta.to_string()),
+        flags: before.header.flags & flag::FLATTENED,
+        producer: &recipe.builder.producer(recipe.heuristic.name()),
+    };
+    bvh::write(&mut output, &contents).map_err(|error| output.write_error(error))?;
+    output.commit()?;
+
+    let mut report = json!({
+        "triangles": before.triangles.len(),
+        "left_out": before.triangles.len() - tree.primitives.len(),
+        "training_queries": training.len(),
+        "seconds": seconds,
+        "threads": pool.current_num_threads(),
+        "build": meta,
+        "before": described(before.tree, &recipe.builder),
+        "after": described(tree.view(), &recipe.builder),
+    });
+    if let Some(optimized) = &optimized {
+        report["optimized"] = optimization(optimized);
+    }
+    print(&report, arguments.format)?;
+    Ok(Outcome::Good)
+}
+
+/// What each optimiser did to T, in its own measure (the root's P is about 1), step by step.
+fn optimization(report: &Report) -> Value {
+    let stages: Vec<Value> = report
+        .stages
+        .iter()
+        .map(|stage| {
+            json!({
+                "name": stage.stage.name(),
+                "undone": stage.undone,
+                "moves": stage.steps.last().map_or(0, |step| step.moves),
+                "cost": stage.steps.iter().map(|step| step.cost).collect::<Vec<f64>>(),
+            })
+        })
+        .collect();
+    json!({ "before": report.before, "after": report.after, "stages": stages })
+}
+/// What a tree looks like, in the names of `bvh-compare`.
+fn described(tree: TreeView, config: &Config) -> Value {
+    let Statistics { nodes, leaves, depth, max_children, max_leaf } = Statistics::of(tree);
+    let sah_cost = sah_cost(tree, config.c_i, config.c_p);
+    json!({
+        "nodes": nodes, "leaves": leaves, "depth": depth, "max_children": max_children, "max_leaf": max_leaf,
+        "sah_cost": sah_cost,
+    })
+}
+
+fn print(report: &Value, format: TextOrJson) -> std::io::Result<()> {
+    let mut out = std::io::stdout().lock();
+    if format == TextOrJson::Json {
+        return writeln!(out, "{report:#}");
+    }
+    writeln!(
+        out,
+        "{} triangles in {:.3} s, {} left out (vertices that are not finite)",
+        report["triangles"],
+        report["seconds"].as_f64().unwrap_or_default(),
+        report["left_out"],
+    )?;
+    if report["training_queries"] != 0 {
+        writeln!(out, "{} training queries", report["training_queries"])?;
+    }
+    if let Some(stages) = report["optimized"]["stages"].as_array() {
+        let mut cost = report["optimized"]["before"].as_f64().unwrap_or_default();
+        for stage in stages {
+            let after = stage["cost"].as_array().and_then(|costs| costs.last()?.as_f64()).unwrap_or(cost);
+            let name = stage["name"].as_str().unwrap_or_default();
+            writeln!(out, "{name}: {} moves, T from {cost:.4} to {after:.4} per query", stage["moves"])?;
+            cost = after;
+        }
+    }
+    writeln!(out, "{:<12}{:>10}{:>12}", "", "before", "after")?;
+    for name in ["nodes", "leaves", "depth", "max_children", "max_leaf"] {
+        let value = |tree: &str| report[tree][name].to_string();
+        writeln!(out, "{:<12}{:>10}{:>12}", name.replace('_', " "), value("before"), value("after"))?;
+    }
+    let cost = |tree: &str| report[tree]["sah_cost"].as_f64().unwrap_or_default();
+    writeln!(out, "{:<12}{:>10.2}{:>12.2}", "SAH cost", cost("before"), cost("after"))
+}

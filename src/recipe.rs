@@ -1,0 +1,154 @@
+//! A whole way to make a tree: how likely boxes are hit, which candidates a greedy builder chooses from, and which
+//! optimisers run afterwards. `bvh-build` types one, experiments try many.
+//!
+//! Data flows so: triangles (+ effective segments) → [`crate::builder`] with a probability → [`crate::optimize`] with the measure
+//! that belongs to it → a tree. Builder and optimisers see the same heuristic, so that the one does not undo the other.
+
+use crate::builder::reference::References;
+use crate::builder::{self, BuildError, build_with};
+use crate::geometry::{Ray, Triangle};
+use crate::optimize::measure::{AreaMeasure, RayMeasure};
+use crate::optimize::{self, OptimizeError, Stage};
+use crate::probability::area::Area;
+use crate::probability::blend::{Blend, WeightError};
+use crate::probability::rays::{Count, RaySet, Rays};
+use crate::progress::Progress;
+use crate::tree::Tree;
+use serde_json::{Value, json};
+use thiserror::Error;
+
+/// How likely a box is taken to be hit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Heuristic {
+    /// P_U, surface area.
+    Sah,
+    /// P_R, the number of training queries whose effective segments overlap the box, and a floor added to each count.
+    Rdh { floor: f64 },
+    /// w · rays + (1 - w) · area, each relative to the node.
+    Blend { weight: f64 },
+}
+
+impl Heuristic {
+    /// The name used in options, producers and `META`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Heuristic::Sah => "sah",
+            Heuristic::Rdh { .. } => "rdh",
+            Heuristic::Blend { .. } => "blend",
+        }
+    }
+
+    /// Whether it asks for training queries.
+    pub fn needs_rays(self) -> bool {
+        self != Heuristic::Sah
+    }
+}
+
+/// A way to make a tree.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recipe {
+    pub heuristic: Heuristic,
+    pub builder: builder::Config,
+    /// Optimisers, one after another; none leaves the greedy tree.
+    pub stages: Vec<Stage>,
+}
+
+/// A tree and what became of its cost.
+#[derive(Clone, Debug)]
+pub struct Made {
+    pub tree: Tree,
+    /// What the optimisers did; `None` without any.
+    pub optimized: Option<optimize::Report>,
+}
+
+/// Why a recipe cannot be followed.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum RecipeError {
+    #[error(transparent)]
+    Build(#[from] BuildError),
+    #[error(transparent)]
+    Optimize(#[from] OptimizeError),
+    #[error(transparent)]
+    Weight(#[from] WeightError),
+    #[error("floor is {0}: it must be a finite number, not negative")]
+    Floor(f64),
+    #[error("the heuristic {0} needs training queries, and there are none: give a recording with --rays, or use --heuristic sah")]
+    NoRays(&'static str),
+}
+
+impl Recipe {
+    /// Checks every number, before any work.
+    ///
+    /// # Errors
+    /// The first one that is out of range.
+    pub fn check(&self) -> Result<(), RecipeError> {
+        self.builder.check()?;
+        match self.heuristic {
+            Heuristic::Sah => {}
+            Heuristic::Rdh { floor } if floor.is_finite() && floor >= 0.0 => {}
+            Heuristic::Rdh { floor } => return Err(RecipeError::Floor(floor)),
+            Heuristic::Blend { weight } => drop(Blend::new(weight)?),
+        }
+        Ok(())
+    }
+
+    /// Makes a tree over `triangles`, on the threads of the current rayon pool. `rays` are the effective segments of the training
+    /// queries; area alone ignores them. `progress` advances by the number of primitives, then by one for each stage.
+    ///
+    /// # Errors
+    /// When a number is out of range, or a heuristic that needs rays has none.
+    pub fn make(&self, triangles: &[Triangle], rays: &[Ray], progress: &Progress) -> Result<Made, RecipeError> {
+        self.check()?;
+        if triangles.len() > builder::MAX_TRIANGLES {
+            return Err(BuildError::TooManyTriangles(triangles.len()).into());
+        }
+        if self.heuristic.needs_rays() && rays.is_empty() {
+            return Err(RecipeError::NoRays(self.heuristic.name()));
+        }
+        let references = References::of(triangles);
+        let bounds = references.bounds;
+        let stages = optimize::Config { stages: self.stages.clone() };
+        let mut made = Made { tree: Tree::default(), optimized: None };
+        let weight = match self.heuristic {
+            Heuristic::Sah => {
+                made.tree = build_with(references, &Area::of_scene(&bounds), &self.builder, progress)?;
+                if !self.stages.is_empty() {
+                    let measure = AreaMeasure::new(&bounds);
+                    made.optimized = Some(optimize::run(&mut made.tree, &measure, &stages, progress)?);
+                }
+                return Ok(made);
+            }
+            Heuristic::Rdh { floor } => {
+                let set = RaySet::of_rays(rays.iter().copied());
+                let count = Count { floor: floor as f32, ..Count::default() };
+                made.tree = build_with(references, &Rays::new(&set, &bounds, count), &self.builder, progress)?;
+                1.0
+            }
+            Heuristic::Blend { weight } => {
+                let set = RaySet::of_rays(rays.iter().copied());
+                let blend = Blend::new(weight)?;
+                made.tree = build_with(references, &Rays::new(&set, &bounds, blend), &self.builder, progress)?;
+                weight
+            }
+        };
+        if !self.stages.is_empty() {
+            let measure = RayMeasure::new(rays, weight, &bounds);
+            made.optimized = Some(optimize::run(&mut made.tree, &measure, &stages, progress)?);
+        }
+        Ok(made)
+    }
+
+    /// The recipe as the `META` section has it. Nothing in it differs between two runs on the same input.
+    pub fn meta(&self) -> Value {
+        let mut meta = self.builder.meta(self.heuristic.name());
+        match self.heuristic {
+            Heuristic::Sah => {}
+            Heuristic::Rdh { floor } => meta["floor"] = json!(floor),
+            Heuristic::Blend { weight } => meta["weight"] = json!(weight),
+        }
+        if !self.stages.is_empty() {
+            meta["optimize"] = self.stages.iter().map(Stage::name).collect();
+        }
+        meta
+    }
+}

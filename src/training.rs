@@ -1,0 +1,75 @@
+//! Training queries: which of a recording's queries a tree is built from, as effective segments.
+//!
+//! Data flows so: [`crate::format::rays::Rays`] → the queries that a [`Selection`] takes → [`Ray`]s for
+//! [`crate::recipe::Recipe::make`]. The queries that it leaves are for `bvh-compare --held-out`.
+
+use crate::format::FormatError;
+use crate::format::bvh::Bvh;
+use crate::format::rays::Rays;
+use crate::geometry::Ray;
+use crate::replay::select::{Filter, Portion};
+use thiserror::Error;
+
+/// Which queries train.
+#[derive(Clone, Debug)]
+pub struct Selection {
+    pub scene: u16,
+    pub filter: Filter,
+    pub portion: Portion,
+    /// No more than this: of more, an even part in the file's order.
+    pub most: usize,
+}
+
+/// Why a recording cannot train a tree.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum TrainingError {
+    #[error(
+        "the queries are of scene {rays:016x}, the tree is of scene {tree:016x}: give the two files of one recording"
+    )]
+    OtherScene { rays: u64, tree: u64 },
+    #[error("no query is left to train with: the recording has {0}; widen --filter or --train")]
+    NoQueries(u64),
+    #[error(transparent)]
+    Format(#[from] FormatError),
+}
+
+impl Selection {
+    /// The effective segments of the chosen queries, in the order of the file.
+    ///
+    /// # Errors
+    /// When the recording is of another scene than `bvh`, a chunk is damaged, or no query is left.
+    pub fn read(&self, rays: &Rays, bvh: &Bvh) -> Result<Vec<Ray>, TrainingError> {
+        let (of_rays, tree) = (rays.header.fingerprint, bvh.header.fingerprint);
+        if of_rays != 0 && of_rays != tree {
+            return Err(TrainingError::OtherScene { rays: of_rays, tree });
+        }
+        let firsts: Vec<u64> = rays
+            .chunks()
+            .iter()
+            .scan(0, |next, chunk| {
+                let first = *next;
+                *next += u64::from(chunk.records);
+                Some(first)
+            })
+            .collect();
+        let chosen = rays.map_chunks(|index, chunk| {
+            if chunk.info.scene != self.scene {
+                return Vec::new();
+            }
+            let numbered = chunk.records.iter().zip(firsts[index]..);
+            let taken = numbered.filter(|(record, number)| {
+                self.filter.accepts(record) && self.portion.trains(record, *number)
+            });
+            taken.map(|(record, _)| record.effective_segment()).collect::<Vec<Ray>>()
+        })?;
+        let chosen: Vec<Ray> = chosen.concat();
+        if chosen.is_empty() {
+            return Err(TrainingError::NoQueries(rays.query_count()));
+        }
+        if chosen.len() <= self.most {
+            return Ok(chosen);
+        }
+        let place = |index: usize| (index as u128 * chosen.len() as u128 / self.most as u128) as usize;
+        Ok((0..self.most).map(|index| chosen[place(index)]).collect())
+    }
+}

@@ -1,0 +1,133 @@
+//! Trees from recorded rays: counts against brute force, the same bytes for any number of threads, degenerate rays.
+
+use embree_trace::builder::reference::References;
+use embree_trace::builder::{Config, Splits};
+use embree_trace::experiment::measure::{area_tree, ray_tree};
+use embree_trace::experiment::random::Random;
+use embree_trace::experiment::shape::sphere;
+use embree_trace::geometry::padded::PaddedAabb;
+use embree_trace::geometry::{Aabb, Ray, Vec3};
+use embree_trace::probability::Probability;
+use embree_trace::probability::blend::Blend;
+use embree_trace::probability::rays::{Count, RaySet, Rays};
+use embree_trace::traverse::PreparedRay;
+use embree_trace::tree::validate::validate;
+
+fn rays(count: usize, seed: u64) -> Vec<Ray> {
+    let mut random = Random::new(seed);
+    let mut point = |size: f64| {
+        let [x, y, z] = [0; 3].map(|_| size * random.signed());
+        Vec3::new(x as f32, y as f32, z as f32)
+    };
+    let ray = |index| {
+        let tfar = if index % 2 == 0 { f32::INFINITY } else { 1.0 };
+        Ray { origin: point(150.0), tnear: 0.0, direction: point(100.0), tfar }
+    };
+    (0..count).map(ray).collect()
+}
+
+#[test]
+fn states_and_candidates_count_what_overlaps() {
+    // More rays than one thread takes, so that both paths are counted.
+    for count in [50, 20_000] {
+        let rays = rays(count, 9);
+        let set = RaySet::of_rays(rays.iter().copied());
+        let scene = Aabb { lower: Vec3::splat(-100.0), upper: Vec3::splat(100.0) };
+        let probability = Rays::new(&set, &scene.into(), Count::PLAIN);
+        let truth = |bounds: &Aabb| {
+            let hit = |ray: &&Ray| PreparedRay::new(ray).entry(bounds, ray.tfar).is_some();
+            rays.iter().filter(hit).count() as f32
+        };
+        let root = probability.root(&scene.into());
+        assert_eq!(probability.node(&root, &scene.into()), truth(&scene));
+        let boxes: Vec<Aabb> = (1..=20)
+            .map(|i| Aabb { lower: scene.lower, upper: Vec3::new(10.0 * i as f32 - 100.0, 100.0, 100.0) })
+            .collect();
+        let mut out = vec![0.0; boxes.len()];
+        probability.nested(&root, boxes.iter().map(|&bounds| PaddedAabb::from(bounds)), &mut out);
+        for (bounds, counted) in boxes.iter().zip(out) {
+            assert_eq!(counted, truth(bounds));
+        }
+        let (left, right) = (boxes[4], Aabb { lower: Vec3::ZERO, upper: scene.upper });
+        let (left_state, right_state) = probability.split(root, &left.into(), &right.into());
+        assert_eq!(left_state.count() as f32, truth(&left));
+        assert_eq!(right_state.count() as f32, truth(&right));
+    }
+}
+
+#[test]
+fn trees_are_valid_and_the_same_for_any_number_of_threads() {
+    let triangles = sphere();
+    let set = RaySet::of_rays(rays(20_000, 4));
+    for splits in [Config::default().splits, Splits::Sweep] {
+        let config = Config { splits, ..Config::default() };
+        let build = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let trees = pool.install(|| {
+                [
+                    ray_tree(&triangles, &set, Count::default(), &config),
+                    ray_tree(&triangles, &set, Blend::new(0.9).unwrap(), &config),
+                ]
+            });
+            trees.map(Result::unwrap)
+        };
+        let one = build(1);
+        assert_eq!(one, build(4));
+        for tree in &one {
+            validate(tree, &triangles, 200).unwrap();
+        }
+    }
+}
+
+#[test]
+fn without_a_ray_the_tree_is_that_of_sah() {
+    let triangles = sphere();
+    let nowhere = Ray { origin: Vec3::splat(1e4), tnear: 0.0, direction: Vec3::ONE, tfar: 1.0 };
+    for splits in [Config::default().splits, Splits::Sweep] {
+        let config = Config { splits, ..Config::default() };
+        let area = area_tree(&triangles, &config).unwrap();
+        for rays in [vec![], vec![nowhere]] {
+            let tree = ray_tree(&triangles, &RaySet::of_rays(rays), Count::default(), &config).unwrap();
+            let cost = |tree: &embree_trace::tree::Tree| {
+                embree_trace::tree::statistics::sah_cost(tree.view(), 1.0, 1.0)
+            };
+            assert!((cost(&tree) / cost(&area) - 1.0).abs() < 0.01, "{} {}", cost(&tree), cost(&area));
+        }
+    }
+}
+
+#[test]
+fn odd_rays_make_valid_trees() {
+    let triangles = sphere();
+    let ray = |origin: f32, direction: Vec3, tnear: f32, tfar: f32| Ray {
+        origin: Vec3::splat(origin),
+        tnear,
+        direction,
+        tfar,
+    };
+    for odd in [
+        ray(0.0, Vec3::ZERO, 0.0, f32::INFINITY),
+        ray(f32::NAN, Vec3::ONE, 0.0, 1.0),
+        ray(0.0, Vec3::splat(f32::NAN), 0.0, 1.0),
+        ray(0.0, Vec3::splat(f32::INFINITY), 0.0, 1.0),
+        ray(0.0, Vec3::X, f32::NEG_INFINITY, f32::INFINITY),
+        ray(f32::MAX, Vec3::splat(-1e-40), 0.0, f32::MAX),
+        ray(0.0, Vec3::ONE, 2.0, 1.0),
+        ray(0.0, Vec3::X, f32::NAN, f32::NAN),
+    ] {
+        let set = RaySet::of_rays(vec![odd; 300]);
+        for splits in [Config::default().splits, Splits::Sweep] {
+            let config = Config { splits, ..Config::default() };
+            for tree in [
+                ray_tree(&triangles, &set, Count::PLAIN, &config),
+                ray_tree(&triangles, &set, Blend::new(1.0).unwrap(), &config),
+            ] {
+                validate(&tree.unwrap(), &triangles, 200).unwrap();
+            }
+        }
+    }
+    // Nothing to build from, but rays all the same.
+    let set = RaySet::of_rays(rays(10, 1));
+    assert_eq!(References::of(&[]).list.len(), 0);
+    assert_eq!(ray_tree(&[], &set, Count::default(), &Config::default()).unwrap().nodes.len(), 1);
+}
