@@ -33,7 +33,7 @@ fn room(directory: &Path) -> PathBuf {
     cuboid(&mut obj, "lamp", [1.5, 2.9, 2.0], [2.5, 2.95, 3.0]);
     let path = directory.join("room.obj");
     fs::write(&path, obj).unwrap();
-    let materials = "newmtl white\nKd 0.7 0.7 0.7\nnewmtl mirror\nKd 0.2 0.2 0.2\nKs 0.6 0.6 0.6\nnewmtl lamp\nKd 0 0 0\nKe 9 9 8\n";
+    let materials = "newmtl white\nKd 0.7 0.7 0.7\nnewmtl mirror\nKd 0.2 0.2 0.2\nKs 0.6 0.6 0.6\nillum 3\nnewmtl lamp\nKd 0 0 0\nKe 9 9 8\n";
     fs::write(directory.join("room.mtl"), materials).unwrap();
     path
 }
