@@ -8,6 +8,7 @@
 //! | scenes | [`mesh`] | triangles from OBJ, PLY and generators |
 //! | building | [`builder`], [`probability`] | trees from triangles, and how likely a box is hit |
 //! | formats | [`format`] | `.rays` and `.bvh`, each read and written in one place |
+//! | queries | [`traverse`], [`replay`], [`compare`] | rays over trees: answers, counts, agreement with a recording |
 //! | experiments | [`experiment`], [`report`] | the figures of the paper, as CSV and plots |
 //! | Embree | `embree` (feature) | queries, recording, and Embree's own trees |
 //!

@@ -31,7 +31,7 @@ Exit code 0: every answer is right. 1: a wrong answer, or a tree above --fail-ab
 
 /// Replays recorded ray queries over trees, counts what each costs, and checks every answer.
 #[derive(Parser)]
-#[command(name = PROGRAM, version, after_help = EXAMPLES)]
+#[command(name = PROGRAM, version, after_help = EXAMPLES, override_usage = "bvh-compare [OPTIONS] <BVH>... <RAYS>")]
 struct Arguments {
     /// One or more trees (.bvh), then the recording (.rays)
     #[arg(required = true, num_args = 2.., value_names = ["BVH", "RAYS"])]

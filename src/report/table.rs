@@ -22,8 +22,9 @@ pub fn render(comparison: &Comparison) -> String {
     }
     let costs = &comparison.settings.costs;
     text += &format!(
-        "\nΓ = {} · box tests + {} · primitive tests. ratio: to the first tree's. µs: on one thread, counting\n\
-         included. T_R: inner nodes that effective segments overlap. Γ_R: Γ strictly front to back over those.\n",
+        "\nΓ = {} · box tests + {} · primitive tests. ratio: Γ relative to the first tree's. T_R: inner nodes\n\
+         that effective segments overlap. Γ_R: Γ of strict front-to-back order over those segments.\n\
+         µs: on one thread, with counting.\n",
         costs.c_i, costs.c_p
     );
     text

@@ -1,8 +1,9 @@
 //! A triangle in leaf order, and the test of a ray against it.
 //!
-//! Möller and Trumbore's test in the form, and with the order of operations, of Embree's default kernel without fused
-//! multiply-add (`isa=sse42`): the same edges of the same rays count as hit. Two things are added, and both are
-//! decided by the triangle's own box, whatever tree it hangs in:
+//! Möller and Trumbore's test in the form, with the order of operations, and with the fused multiply-adds of Embree's default
+//! kernel on AVX2 and later: the same edges of the same rays count as hit. (Without fusing, thin triangles differ for 1
+//! ray in 10,000.) A processor without the instruction gets the same bits from a library function, slowly. Two things
+//! are added, and both are decided by the triangle's own box, whatever tree it hangs in:
 //!
 //! - A hit counts only if the ray also overlaps the triangle's box. Every box above holds that box, so no tree can
 //!   cull a hit that another tree finds.
@@ -25,16 +26,17 @@ pub struct PreparedTriangle {
     pub mask: u32,
 }
 
-/// Embree's order of summation.
+/// Embree's order of summation, and its rounding.
 #[inline(always)]
 fn dot(a: Vec3, b: Vec3) -> f32 {
-    a.x * b.x + (a.y * b.y + a.z * b.z)
+    a.x.mul_add(b.x, a.y.mul_add(b.y, a.z * b.z))
 }
 
-/// Embree's rounding of a cross product, which is also glam's.
+/// Embree's rounding of a cross product.
 #[inline(always)]
 fn cross(a: Vec3, b: Vec3) -> Vec3 {
-    Vec3::new(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
+    let minor = |a1: f32, b2: f32, a2: f32, b1: f32| a1.mul_add(b2, -(a2 * b1));
+    Vec3::new(minor(a.y, b.z, a.z, b.y), minor(a.z, b.x, a.x, b.z), minor(a.x, b.y, a.y, b.x))
 }
 
 impl PreparedTriangle {

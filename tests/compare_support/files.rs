@@ -102,7 +102,7 @@ pub fn records(triangles: &[Triangle], count: usize, seed: u64) -> (Vec<Record>,
             v: 0.0,
             path: records.len() as u32 % (IMAGE[0] * IMAGE[1]),
             kind: if occlusion { kind::OCCLUSION } else { kind::CLOSEST_HIT },
-            depth: (i % 3) as u8,
+            depth: (i / 3 % 3) as u8,
             flags: nearest.map_or(0, |_| flag::HIT) | rejected.map_or(0, |_| flag::HAS_REJECTS),
             purpose: if occlusion { Purpose::Shadow } else { [Purpose::Camera, Purpose::Diffuse][i % 2] }
                 as u8,
