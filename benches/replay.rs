@@ -15,8 +15,9 @@ use embree_trace::files::MappedFile;
 use embree_trace::format::bvh::Bvh;
 use embree_trace::format::rays::{Purpose, Rays, Record, flag, kind};
 use embree_trace::geometry::{Triangle, Vec3};
-use embree_trace::mesh::generate::{Random, courtyard};
+use embree_trace::mesh::generate::courtyard;
 use embree_trace::progress::Progress;
+use embree_trace::random::Random;
 use embree_trace::traverse::{All, Counts, Prepared, PreparedRay, Scratch, Traversal};
 use obvhs::BvhBuildParams;
 use peers::Peer;
@@ -180,8 +181,8 @@ fn made_up(triangles: &[Triangle]) -> Vec<Record> {
         let side = forward.cross(Vec3::Y).normalize();
         let direction = forward + x * side - 0.75 * y * side.cross(forward);
         if let Some(point) = ask(eye, direction, f32::INFINITY, Purpose::Camera) {
-            let [a, b, c] = random.direction().map(|value| value as f32);
-            ask(point, Vec3::new(a, b, c), f32::INFINITY, Purpose::Diffuse);
+            let bounce = Vec3::from_array([0; 3].map(|_| random.signed() as f32));
+            ask(point, bounce, f32::INFINITY, Purpose::Diffuse);
             ask(point, sun - point, 0.9999, Purpose::Shadow);
         }
     }

@@ -7,7 +7,6 @@ pub mod alpha;
 pub mod blend;
 pub mod measure;
 pub mod published;
-pub mod random;
 pub mod sampling;
 pub mod save;
 pub mod scenes;

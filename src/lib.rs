@@ -33,6 +33,7 @@ pub mod mesh;
 pub mod optimize;
 pub mod probability;
 pub mod progress;
+pub mod random;
 pub mod recipe;
 #[cfg(feature = "embree")]
 pub mod record;

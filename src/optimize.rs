@@ -23,7 +23,6 @@ mod checks;
 pub mod insertion;
 pub mod measure;
 pub mod moves;
-mod random;
 pub mod reinsertion;
 pub mod rotations;
 pub mod search;

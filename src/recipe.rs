@@ -7,7 +7,7 @@
 use crate::builder::reference::References;
 use crate::builder::{self, BuildError, build_with};
 use crate::geometry::{Ray, Triangle};
-use crate::optimize::measure::{AreaMeasure, RayMeasure};
+use crate::optimize::measure::{AreaMeasure, Estimate, RayMeasure};
 use crate::optimize::{self, OptimizeError, Stage};
 use crate::probability::area::Area;
 use crate::probability::blend::{Blend, WeightError};
@@ -72,7 +72,9 @@ pub enum RecipeError {
     Weight(#[from] WeightError),
     #[error("floor is {0}: it must be a finite number, not negative")]
     Floor(f64),
-    #[error("the heuristic {0} needs training queries, and there are none: give a recording with --rays, or use --heuristic sah")]
+    #[error(
+        "the heuristic {0} needs training queries, and there are none: give a recording with --rays, or use --heuristic sah"
+    )]
     NoRays(&'static str),
 }
 
@@ -97,7 +99,12 @@ impl Recipe {
     ///
     /// # Errors
     /// When a number is out of range, or a heuristic that needs rays has none.
-    pub fn make(&self, triangles: &[Triangle], rays: &[Ray], progress: &Progress) -> Result<Made, RecipeError> {
+    pub fn make(
+        &self,
+        triangles: &[Triangle],
+        rays: &[Ray],
+        progress: &Progress,
+    ) -> Result<Made, RecipeError> {
         self.check()?;
         if triangles.len() > builder::MAX_TRIANGLES {
             return Err(BuildError::TooManyTriangles(triangles.len()).into());
@@ -109,7 +116,7 @@ impl Recipe {
         let bounds = references.bounds;
         let stages = optimize::Config { stages: self.stages.clone() };
         let mut made = Made { tree: Tree::default(), optimized: None };
-        let weight = match self.heuristic {
+        let estimate = match self.heuristic {
             Heuristic::Sah => {
                 made.tree = build_with(references, &Area::of_scene(&bounds), &self.builder, progress)?;
                 if !self.stages.is_empty() {
@@ -121,18 +128,21 @@ impl Recipe {
             Heuristic::Rdh { floor } => {
                 let set = RaySet::of_rays(rays.iter().copied());
                 let count = Count { floor: floor as f32, ..Count::default() };
-                made.tree = build_with(references, &Rays::new(&set, &bounds, count), &self.builder, progress)?;
-                1.0
+                made.tree =
+                    build_with(references, &Rays::new(&set, &bounds, count), &self.builder, progress)?;
+                // Counts alone fit the training rays too well where few of them pass.
+                Estimate::default()
             }
             Heuristic::Blend { weight } => {
                 let set = RaySet::of_rays(rays.iter().copied());
                 let blend = Blend::new(weight)?;
-                made.tree = build_with(references, &Rays::new(&set, &bounds, blend), &self.builder, progress)?;
-                weight
+                made.tree =
+                    build_with(references, &Rays::new(&set, &bounds, blend), &self.builder, progress)?;
+                Estimate::Blend { weight }
             }
         };
         if !self.stages.is_empty() {
-            let measure = RayMeasure::new(rays, weight, &bounds);
+            let measure = RayMeasure::new(rays, estimate, &bounds);
             made.optimized = Some(optimize::run(&mut made.tree, &measure, &stages, progress)?);
         }
         Ok(made)

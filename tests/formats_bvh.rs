@@ -216,9 +216,12 @@ fn every_length_is_refused() {
     }
 }
 
+/// A part of the line that a change of [`Parts::new`] gets, and the change.
+type Case = (&'static str, &'static dyn Fn(&mut Parts));
+
 #[test]
 fn hostile_trees_are_refused() {
-    let cases: [(&str, &dyn Fn(&mut Parts)); 26] = [
+    let cases: [Case; 26] = [
         ("NODE 0: number of elements: found 0", &|p| p.nodes.clear()),
         ("NODE 0: first child of a node: found 0", &|p| p.nodes[0].1 = 0),
         ("NODE 1: first child of a node: found 0", &|p| p.nodes[1] = ([0.0; 3], 0, [1.0; 3], 1)),
@@ -362,7 +365,7 @@ fn other_files_are_told_apart() {
 
 #[test]
 fn verify_finds_wrong_boxes_and_leaves() {
-    let cases: [(&str, &dyn Fn(&mut Parts)); 9] = [
+    let cases: [Case; 9] = [
         ("NODE 1: box of a node", &|p| p.nodes[1].2[0] = 4.5),
         ("NODE 1: box of a node: found [4.5", &|p| p.nodes[1].0[0] = 4.5),
         ("NODE 2: box of a leaf", &|p| p.nodes[2].2[0] = 0.5),

@@ -3,13 +3,13 @@
 use embree_trace::builder::reference::References;
 use embree_trace::builder::{Config, Splits};
 use embree_trace::experiment::measure::{area_tree, ray_tree};
-use embree_trace::experiment::random::Random;
 use embree_trace::experiment::shape::sphere;
 use embree_trace::geometry::padded::PaddedAabb;
 use embree_trace::geometry::{Aabb, Ray, Vec3};
 use embree_trace::probability::Probability;
 use embree_trace::probability::blend::Blend;
 use embree_trace::probability::rays::{Count, RaySet, Rays};
+use embree_trace::random::Random;
 use embree_trace::traverse::PreparedRay;
 use embree_trace::tree::validate::validate;
 

@@ -1,12 +1,12 @@
 //! How few rays are enough: trees from the queries of 16 × 16 to 256 × 256 pixels, counted on all queries.
 
 use super::measure::{area_tree, ray_tree};
-use super::random::Random;
 use super::trace::{Query, Trace, prepared, t_r};
 use super::{ExperimentError, Settings, summary};
 use crate::builder::Config;
 use crate::probability::rays::{Count, RaySet};
 use crate::progress::Progress;
+use crate::random::Random;
 use crate::report::plot::{BLACK, BLUE, Chart, Figure, GREEN, Mark, Series, Stroke, VERMILLION};
 use crate::tree::Tree;
 use std::collections::HashSet;

@@ -2,8 +2,8 @@
 //!
 //! A [`Shape`] and one [`Trial`]'s random numbers make a [`Setup`]: triangles, and an unaligned circular frustum of rays.
 
-use super::random::Random;
 use crate::geometry::{DVec3, Ray, Triangle, Vec3};
+use crate::random::Random;
 use std::f64::consts::TAU;
 
 /// Rays of one trial.

@@ -1,12 +1,12 @@
 //! Figure 1: trees built with full ray information against SAH trees, on four shapes, over the focus of the rays.
 
 use super::measure::{area_tree, cost, end_at_hits, ray_tree};
-use super::random::Random;
 use super::shape::{RAYS, Setup, Shape};
 use super::{ExperimentError, Row, Settings, foci, published, summary};
 use crate::builder::Config;
 use crate::probability::rays::{Count, RaySet};
 use crate::progress::Progress;
+use crate::random::Random;
 use crate::report::plot::{BLUE, Chart, Figure, Mark, Series, Stroke, VERMILLION};
 use rayon::prelude::*;
 

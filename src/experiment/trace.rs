@@ -1,10 +1,10 @@
 //! A recorded scene as the experiments take it: triangles, a sample of the queries, and a way to part them by pixel.
 
-use super::random::Random;
 use crate::format::FormatError;
 use crate::format::bvh::{Bvh, Geometry};
 use crate::format::rays::{NO_DEPTH, NO_PATH, Rays, Record, Reject};
 use crate::geometry::Triangle;
+use crate::random::Random;
 use crate::traverse::{Overlap, Prepared, PreparedRay, Recorded, Scratch};
 use crate::tree::Tree;
 use rayon::prelude::*;

@@ -14,6 +14,9 @@ use std::fmt::{self, Formatter};
 /// Groups of one property that the text shows; JSON has them all.
 const SHOWN_GROUPS: usize = 24;
 
+/// A length this close to 1 is that of a normalised direction.
+const UNIT_LENGTH_TOLERANCE: f32 = 1e-5;
+
 /// Queries that share a property.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
@@ -141,6 +144,8 @@ struct Counts {
     rejects: u64,
     most_rejects: u32,
     not_triangles: u64,
+    /// Directions of length 1 up to rounding, and the lengths of the others.
+    normalised: u64,
     direction: PowersOfTwo,
     segment: PowersOfTwo,
     hit_t: PowersOfTwo,
@@ -158,6 +163,7 @@ impl Counts {
             rejects: 0,
             most_rejects: 0,
             not_triangles: 0,
+            normalised: 0,
             direction: PowersOfTwo::default(),
             segment: PowersOfTwo::default(),
             hit_t: PowersOfTwo::default(),
@@ -176,7 +182,11 @@ impl Counts {
 
             let length = record.direction.length();
             let segment = record.effective_segment();
-            self.direction.add(length);
+            if (length - 1.0).abs() < UNIT_LENGTH_TOLERANCE {
+                self.normalised += 1;
+            } else {
+                self.direction.add(length);
+            }
             self.segment.add((segment.tfar - segment.tnear) * length);
             if record.is_hit() && !record.is_occlusion() {
                 self.hit_t.add(record.t);
@@ -206,6 +216,7 @@ impl Counts {
         self.rejects += other.rejects;
         self.most_rejects = self.most_rejects.max(other.most_rejects);
         self.not_triangles += other.not_triangles;
+        self.normalised += other.normalised;
         self.direction.merge(&other.direction);
         self.segment.merge(&other.segment);
         self.hit_t.merge(&other.hit_t);
@@ -295,12 +306,16 @@ fn histograms(counts: &Counts) -> Vec<Histogram> {
     if counts.reject_counts[32] > 0 {
         rejects.bins.push(Bin::named("32 and more", counts.reject_counts[32]));
     }
+    let mut direction = counts.direction.histogram("length of directions");
+    if counts.normalised > 0 {
+        direction.bins.insert(0, Bin::named("1 (normalised)", counts.normalised));
+    }
     vec![
         Histogram { name: "purpose", bins: purpose },
         depth,
         counts.hit_t.histogram("t of closest hits"),
         counts.segment.histogram("length of effective segments"),
-        counts.direction.histogram("length of directions"),
+        direction,
         rejects,
     ]
 }
@@ -394,7 +409,10 @@ impl fmt::Display for Summary {
             ("scene ", &self.by_scene),
             ("thread ", &self.by_thread),
         ];
-        for (prefix, groups) in properties {
+        for (index, (prefix, groups)) in properties.into_iter().enumerate() {
+            if index > 0 && !groups.0.is_empty() {
+                writeln!(f)?;
+            }
             self.fmt_groups(f, prefix, groups)?;
         }
         self.histograms.iter().try_for_each(|histogram| text::histogram(f, histogram))
@@ -413,7 +431,7 @@ impl Summary {
         if groups.0.len() > SHOWN_GROUPS {
             writeln!(f, "  … and {} more", groups.0.len() - SHOWN_GROUPS)?;
         }
-        if groups.0.is_empty() { Ok(()) } else { writeln!(f) }
+        Ok(())
     }
 }
 

@@ -56,7 +56,8 @@ pub fn histogram(f: &mut Formatter, histogram: &Histogram) -> fmt::Result {
         // A bin with one query among millions still shows that it is there.
         let cells = (bin.count as f64 / largest as f64 * BAR as f64).ceil() as usize;
         let (count, share) = (grouped(bin.count), percent(bin.count, total));
-        writeln!(f, "  {:>24} {count:>15} {share:>6.2}%  {}", bin.label, "#".repeat(cells))?;
+        let row = format!("  {:>24} {count:>15} {share:>6.2}%  {}", bin.label, "#".repeat(cells));
+        writeln!(f, "{}", row.trim_end())?;
     }
     Ok(())
 }

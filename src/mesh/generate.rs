@@ -2,7 +2,7 @@
 //!
 //! Only additions, multiplications, divisions and square roots of `f64` are used, which IEEE 754 defines to the last bit; the
 //! system's `sin` and `cos` are not, so [`circle`] has its own. Rust never fuses a multiplication with an addition. Random
-//! numbers come from [`Random`].
+//! numbers come from [`crate::random`].
 
 mod cornell;
 mod courtyard;
@@ -11,39 +11,18 @@ mod large;
 
 use super::{Faces, Material, Mesh, Part};
 use crate::geometry::Vec3;
+use crate::random::Random;
 pub use cornell::cornell_box;
 pub use courtyard::courtyard;
 pub use hard::{coincident, quads, slivers};
 pub use large::{soup, terrain};
 
-/// SplitMix64 (Steele, Lea, Flood, OOPSLA 2014).
-pub(crate) struct Random(u64);
-
-impl Random {
-    pub fn new(seed: u64) -> Random {
-        Random(seed)
-    }
-
-    pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-
-    /// Uniform in [low, high).
-    pub fn range(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * ((self.bits() >> 11) as f64 / (1_u64 << 53) as f64)
-    }
-
-    /// Uniform on the unit sphere.
-    pub fn direction(&mut self) -> [f64; 3] {
-        let z = self.range(-1.0, 1.0);
-        let radius = (1.0 - z * z).sqrt();
-        let (cos, sin) = circle(self.range(0.0, 1.0));
-        [radius * cos, radius * sin, z]
-    }
+/// Uniform on the unit sphere.
+fn direction(random: &mut Random) -> [f64; 3] {
+    let z = random.range(-1.0, 1.0);
+    let radius = (1.0 - z * z).sqrt();
+    let (cos, sin) = circle(random.uniform());
+    [radius * cos, radius * sin, z]
 }
 
 /// Cosine and sine of a number of turns: Taylor's series on an eighth of a turn, exact signs and quarters.

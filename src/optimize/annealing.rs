@@ -8,9 +8,9 @@
 
 use super::Step;
 use super::measure::Measure;
-use super::random::Random;
 use super::rotations::{self, KINDS, climb, gain, rotate};
 use super::working::Working;
+use crate::random::Random;
 use rayon::prelude::*;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,7 +74,7 @@ fn sweep<M: Measure>(
     max_work: u64,
     stream: u64,
 ) -> (u64, u64) {
-    let mut random = Random::new(config.seed, stream);
+    let mut random = Random::stream(config.seed, &[stream]);
     let mean = nodes.iter().map(|&index| working.value(index)).sum::<f64>() / nodes.len().max(1) as f64;
     let (mut moves, mut work) = (0, 0);
     // Cost relative to the first state.
@@ -87,8 +87,8 @@ fn sweep<M: Measure>(
         let progress = iteration as f64 / (config.iterations - 1).max(1) as f64;
         let temperature = mean * config.start * (config.end / config.start).powf(progress);
         for &index in &nodes {
-            let kind = random.below(KINDS);
-            let chance = random.unit();
+            let kind = random.below(KINDS as u64) as usize;
+            let chance = random.uniform();
             let Some((gained, tested)) = gain(working, index, kind) else { continue };
             work += tested;
             if gained > 0.0 || chance < (gained / temperature).exp() {

@@ -1,14 +1,14 @@
 //! For tests: scenes, rays, and a working tree recounted from nothing.
 
 use super::measure::{Estimate, Measure, RayMeasure};
-use super::random::Random;
 use super::working::{NONE, Working};
 use crate::geometry::{Aabb, Ray, Triangle, Vec3};
+use crate::random::Random;
 use crate::tree::{Node, Tree};
 
 pub fn triangles(count: usize, seed: u64) -> Vec<Triangle> {
-    let mut random = Random::new(seed, 7);
-    let mut vector = |scale: f32| Vec3::from_array([0; 3].map(|_| random.unit() as f32)) * scale;
+    let mut random = Random::stream(seed, &[7]);
+    let mut vector = |scale: f32| Vec3::from_array([0; 3].map(|_| random.unit())) * scale;
     (0..count)
         .map(|_| {
             let at = vector(1.0);
@@ -19,8 +19,8 @@ pub fn triangles(count: usize, seed: u64) -> Vec<Triangle> {
 
 /// Segments through the unit cube, most of them from one side.
 pub fn rays(count: usize, seed: u64) -> Vec<Ray> {
-    let mut random = Random::new(seed, 8);
-    let mut vector = || Vec3::from_array([0; 3].map(|_| random.unit() as f32));
+    let mut random = Random::stream(seed, &[8]);
+    let mut vector = || Vec3::from_array([0; 3].map(|_| random.unit()));
     (0..count)
         .map(|_| {
             let (from, to) = (vector() * Vec3::new(0.1, 1.0, 1.0), vector());

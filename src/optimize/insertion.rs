@@ -10,9 +10,9 @@
 use super::Step;
 use super::measure::Measure;
 use super::moves::{can_move, carry_out, plan, take_back};
-use super::random::Random;
 use super::search::{ByMeasure, Limits, places};
 use super::working::Working;
+use crate::random::Random;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
@@ -44,7 +44,7 @@ impl Default for Config {
 
 /// Dissolves inefficient nodes until it does not pay any more. One step a round.
 pub fn insert<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<Step> {
-    let mut random = Random::new(config.seed, 0);
+    let mut random = Random::new(config.seed);
     let mut steps = Vec::new();
     let (mut cost, mut moves, mut work) = (working.cost(), 0, 0);
     let mut at_random = false;
@@ -75,7 +75,7 @@ fn picked<M: Measure>(working: &Working<M>, config: &Config, random: Option<&mut
     match random {
         Some(random) => {
             for index in 0..count {
-                let other = index + random.below(nodes.len() - index);
+                let other = index + random.below((nodes.len() - index) as u64) as usize;
                 nodes.swap(index, other);
             }
         }

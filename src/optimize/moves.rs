@@ -149,8 +149,8 @@ fn paths<M: Measure>(working: &Working<M>, node: u32, parent: u32, above: u32) -
 #[cfg(test)]
 mod tests {
     use super::super::checks::{assert_consistent, blend, poor_tree, rays, triangles};
-    use super::super::random::Random;
     use super::*;
+    use crate::random::Random;
 
     #[test]
     fn gains_are_what_recounting_says_and_moves_can_be_taken_back() {
@@ -158,10 +158,10 @@ mod tests {
         let tree = poor_tree(&triangles);
         let measure = blend(&tree, &rays(300, 2));
         let mut working = Working::new(&tree, &measure);
-        let mut random = Random::new(3, 0);
+        let mut random = Random::new(3);
         let mut moved = 0;
         while moved < 4000 {
-            let [node, target] = [0; 2].map(|_| random.below(working.nodes.len()) as u32);
+            let [node, target] = [0; 2].map(|_| random.below(working.nodes.len() as u64) as u32);
             let Some(plan) = plan(&working, node, target) else { continue };
             let (before, expected) = (working.cost(), plan.gain);
             let undo = carry_out(&mut working, plan);

@@ -225,8 +225,8 @@ fn climb_from<M: Measure>(working: &mut Working<M>, mut open: Vec<u32>, max_work
 #[cfg(test)]
 mod tests {
     use super::super::checks::{assert_consistent, blend, poor_tree, rays, triangles};
-    use super::super::random::Random;
     use super::*;
+    use crate::random::Random;
 
     #[test]
     fn gains_are_what_recounting_says_after_thousands_of_rotations() {
@@ -234,15 +234,15 @@ mod tests {
         let tree = poor_tree(&triangles);
         let measure = blend(&tree, &rays(300, 2));
         let mut working = Working::new(&tree, &measure);
-        let mut random = Random::new(3, 0);
+        let mut random = Random::new(3);
         let mut rotated = 0;
         while rotated < 4000 {
-            let index = random.below(working.nodes.len()) as u32;
+            let index = random.below(working.nodes.len() as u64) as u32;
             if working.node(index).is_leaf() {
                 continue;
             }
             let all = gains(&working, index).gains;
-            let kind = random.below(KINDS);
+            let kind = random.below(KINDS as u64) as usize;
             let Some((expected, _)) = gain(&working, index, kind) else {
                 assert_eq!(all[kind], f64::NEG_INFINITY);
                 continue;

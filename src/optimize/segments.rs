@@ -139,9 +139,9 @@ fn count_avx2<const N: usize>(segments: &[Segment], list: &[u32], lanes: &Lanes<
 
 #[cfg(test)]
 mod tests {
-    use super::super::random::Random;
     use super::*;
     use crate::geometry::{Aabb, Vec3};
+    use crate::random::Random;
 
     /// By how much the segment overlaps the box, in double precision: the length of the common interval of t, negative when they are apart.
     fn overlap(ray: &Ray, bounds: &Aabb) -> f64 {
@@ -158,8 +158,8 @@ mod tests {
 
     #[test]
     fn counts_are_those_of_double_precision() {
-        let mut random = Random::new(1, 0);
-        let mut vector = || Vec3::from_array([0; 3].map(|_| random.unit() as f32 - 0.5));
+        let mut random = Random::new(1);
+        let mut vector = || Vec3::from_array([0; 3].map(|_| random.unit() - 0.5));
         let rays: Vec<Ray> = (0..500)
             .map(|_| Ray { origin: vector(), tnear: 0.0, direction: vector(), tfar: vector().x + 0.6 })
             .collect();

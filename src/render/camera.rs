@@ -82,7 +82,7 @@ impl Camera {
             return Err(CameraError::NoUp);
         }
         let side = side.normalize();
-        let half_height = (f64::from(view.fov_degrees).to_radians() / 2.0).tan();
+        let half_height = libm::tan(f64::from(view.fov_degrees).to_radians() / 2.0);
         let half_width = half_height * f64::from(width) / f64::from(height);
         Ok(Camera {
             eye: view.eye,

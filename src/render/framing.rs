@@ -58,8 +58,8 @@ impl Axes {
 
     /// A direction by its angle around `up`, from the front to the right, and above the horizon, in radians.
     fn direction(&self, azimuth: f32, elevation: f32) -> Vec3 {
-        let horizontal = self.front * azimuth.cos() + self.right * azimuth.sin();
-        (horizontal * elevation.cos() + self.up * elevation.sin()).normalize()
+        let horizontal = self.front * libm::cosf(azimuth) + self.right * libm::sinf(azimuth);
+        (horizontal * libm::cosf(elevation) + self.up * libm::sinf(elevation)).normalize()
     }
 }
 
@@ -250,7 +250,7 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
             let view = self.fit(towards, fov_degrees, aspect);
             if let Some(glimpse) = self.glimpse(&view, aspect) {
                 let score =
-                    preference * (1.0 + glimpse.distinct as f32).ln() * (0.5 + glimpse.covered).min(1.0);
+                    preference * libm::logf(1.0 + glimpse.distinct as f32) * (0.5 + glimpse.covered).min(1.0);
                 if best.is_none_or(|(other, _)| score > other) {
                     best = Some((score, view));
                 }
@@ -265,7 +265,7 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
         let side = up.cross(towards).normalize();
         let down = side.cross(towards);
         let margin = 0.94;
-        let half_height = (fov_degrees.to_radians() / 2.0).tan() * margin;
+        let half_height = libm::tanf(fov_degrees.to_radians() / 2.0) * margin;
         let half_width = half_height * aspect;
         let centre = self.bounds.center();
         let mut distance = 0.05 * self.size;
@@ -303,7 +303,7 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
                 continue;
             }
             // Much to see, and nothing in front of it.
-            let score = 1.5 * glimpse.edges.min(0.5) + 0.1 * (1.0 + glimpse.distinct as f32).ln()
+            let score = 1.5 * glimpse.edges.min(0.5) + 0.1 * libm::logf(1.0 + glimpse.distinct as f32)
                 - 3.0 * glimpse.obstructed
                 - glimpse.backs
                 + glimpse.covered
@@ -346,8 +346,8 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
         let count = horizon.len();
         let (direction, length) = (0..count)
             .map(|i| {
-                let window = (0..7).map(|k| horizon[(i + count + k - 3) % count].ln());
-                (i, (window.sum::<f32>() / 7.0).exp())
+                let window = (0..7).map(|k| libm::logf(horizon[(i + count + k - 3) % count]));
+                (i, libm::expf(window.sum::<f32>() / 7.0))
             })
             .max_by(|a, b| a.1.total_cmp(&b.1))?;
         if length < MIN_LENGTH * self.size {
@@ -394,5 +394,5 @@ fn sphere_direction(index: u32, turn: u32) -> Vec3 {
     let z = 1.0 - (2.0 * index as f32 + 1.0) / DIRECTIONS as f32;
     let angle = TAU * ((index as f32 * GOLDEN).fract() + turn as f32 * 0.137) + PI * 0.01;
     let radius = (1.0 - z * z).max(0.0).sqrt();
-    Vec3::new(radius * angle.cos(), z, radius * angle.sin())
+    Vec3::new(radius * libm::cosf(angle), z, radius * libm::sinf(angle))
 }

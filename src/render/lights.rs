@@ -163,7 +163,7 @@ impl Lights {
             let cosine = 1.0 - u * (1.0 - SUN_COSINE);
             let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
             let (tangent, bitangent) = sun.any_orthonormal_pair();
-            let (sin, cos) = (TAU * v).sin_cos();
+            let (sin, cos) = libm::sincosf(TAU * v);
             let solid_angle = TAU * (1.0 - SUN_COSINE);
             return Some(LightSample {
                 direction: (sun * cosine + tangent * (sine * cos) + bitangent * (sine * sin)).normalize(),

@@ -4,6 +4,8 @@
 //! Each pair of dimensions is a two-dimensional Sobol' sequence over the samples of a pixel, shuffled and scrambled by a hash
 //! (Burley, "Practical Hash-based Owen Scrambling", JCGT 2020), so that few samples already cover the square evenly.
 
+use crate::random::mixed;
+
 /// The random numbers of one sample of one pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Sampler {
@@ -14,7 +16,7 @@ pub struct Sampler {
 
 impl Sampler {
     pub fn new(seed: u64, pixel: u32, sample: u32) -> Sampler {
-        Sampler { key: mix(mix(seed) ^ u64::from(pixel)), sample }
+        Sampler { key: mixed(mixed(seed) ^ u64::from(pixel)), sample }
     }
 
     /// Two numbers in [0, 1); evenly spread over the samples of a pixel.
@@ -34,19 +36,10 @@ impl Sampler {
 
     #[inline]
     fn seeds(&self, dimension: u32) -> [u32; 3] {
-        let a = mix(self.key ^ (u64::from(dimension) << 32));
-        let b = mix(a);
+        let a = mixed(self.key ^ (u64::from(dimension) << 32));
+        let b = mixed(a);
         [a as u32, (a >> 32) as u32, b as u32]
     }
-}
-
-/// The finaliser of SplitMix64 (Steele, Lea and Flood 2014) after its increment: every bit depends on every bit.
-#[inline]
-fn mix(x: u64) -> u64 {
-    let x = x.wrapping_add(0x9E37_79B9_7F4A_7C15);
-    let x = (x ^ (x >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    let x = (x ^ (x >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    x ^ (x >> 31)
 }
 
 /// The upper 24 bits as a fraction, never 1.

@@ -72,7 +72,7 @@ impl Surface {
     /// A direction on the side of the normal, with density cos/π (Malley's method, on concentric squares).
     pub fn cosine_direction(&self, [u, v]: [f32; 2]) -> Vec3 {
         let radius = u.sqrt();
-        let (sin, cos) = (TAU * v).sin_cos();
+        let (sin, cos) = libm::sincosf(TAU * v);
         let (tangent, bitangent) = self.normal.any_orthonormal_pair();
         // 1 - u is at least 2^-24: the direction never lies in the surface.
         (tangent * (radius * cos) + bitangent * (radius * sin) + self.normal * (1.0 - u).sqrt()).normalize()

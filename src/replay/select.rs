@@ -1,6 +1,7 @@
 //! Which queries of a file take part: a filter on what they are, and a sample spread over the file.
 
 use crate::format::rays::{NO_DEPTH, NO_PATH, Purpose, Record, kind};
+use crate::random::mixed;
 use std::fmt;
 use std::ops::Range;
 use std::str::FromStr;
@@ -78,7 +79,9 @@ impl fmt::Display for Filter {
         let names: Vec<&str> = self.purposes.iter().map(|purpose| purpose.name()).collect();
         let conditions = [
             (!names.is_empty()).then(|| format!("purpose={}", names.join("+"))),
-            self.kind.map(|kind| format!("kind={}", if kind == kind::OCCLUSION { "occlusion" } else { "closest" })),
+            self.kind.map(|kind| {
+                format!("kind={}", if kind == kind::OCCLUSION { "occlusion" } else { "closest" })
+            }),
             self.depth.map(|depth| format!("depth={depth}")),
             self.path.map(|path| format!("path={path}")),
         ];
@@ -200,14 +203,6 @@ impl Portion {
         let uniform = (mixed(pixel ^ mixed(self.seed)) >> 11) as f64 / (1u64 << 53) as f64;
         uniform < self.share
     }
-}
-
-/// The finaliser of SplitMix64.
-fn mixed(value: u64) -> u64 {
-    let mut z = value.wrapping_add(0x9E37_79B9_7F4A_7C15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
 }
 
 #[cfg(test)]

@@ -209,7 +209,7 @@ mod tests {
     #[test]
     fn merging_is_adding() {
         let query = |n: u64| Replayed {
-            hit: n % 2 == 0,
+            hit: n.is_multiple_of(2),
             counts: Counts { box_tests: n, node_visits: n / 2, primitive_tests: 3 },
             verdict: [Verdict::Agrees, Verdict::Borderline, Verdict::Mismatch, Verdict::Unchecked]
                 [n as usize % 4],

@@ -4,9 +4,10 @@
 //! plain walls meet small round shapes everywhere. All of it is tessellated along `detail`, so the number of triangles grows
 //! with its square while the picture stays the same.
 
-use super::{Builder, Point, Random, along, circle};
+use super::{Builder, Point, along, circle, direction};
 use crate::geometry::Vec3;
 use crate::mesh::{Faces, Material, Mesh};
+use crate::random::Random;
 
 /// Half the width of the court, and of the outer walls.
 const COURT: f64 = 6.0;
@@ -241,11 +242,11 @@ fn pool(b: &mut Builder, detail: u32) {
 fn foliage(b: &mut Builder, centre: Point, count: u32, detail: f64, random: &mut Random) {
     let size = 0.22 / detail;
     for _ in 0..count {
-        let outwards = random.direction();
+        let outwards = direction(random);
         let distance = 1.0 - random.range(0.0, 1.0) * random.range(0.0, 0.6);
         let middle: Point = std::array::from_fn(|axis| centre[axis] + distance * outwards[axis]);
         let corners: [u32; 3] = std::array::from_fn(|_| {
-            let offset = random.direction();
+            let offset = direction(random);
             b.vertex(std::array::from_fn(|axis| middle[axis] + size * offset[axis]))
         });
         b.triangle(corners[0], corners[1], corners[2]);

@@ -1,7 +1,8 @@
 //! Scenes that are hard on builders and on traversal: needles, triangles in the same place, and quads that are not flat.
 
-use super::{Builder, Random, circle};
+use super::{Builder, circle, direction};
 use crate::mesh::{Faces, Mesh};
+use crate::random::Random;
 
 /// Long thin triangles: needles at all angles, a fan of blades around one vertex, and a stack of large sheets so close
 /// together and so flat that rays along them graze all of them.
@@ -12,7 +13,7 @@ pub fn slivers(needles: u32, seed: u64) -> Mesh {
     b.part("needles", grey, Faces::Triangles);
     for _ in 0..needles {
         let start: [f64; 3] = std::array::from_fn(|_| random.range(-1.0, 1.0));
-        let (along, across) = (random.direction(), random.direction());
+        let (along, across) = (direction(&mut random), direction(&mut random));
         let length = random.range(0.3, 2.0);
         // From one in a hundred to one in a million.
         let width = length / [1e2, 1e3, 1e4, 1e6][random.bits() as usize % 4];

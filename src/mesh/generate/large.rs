@@ -1,7 +1,8 @@
 //! Scenes of any size, for measuring how time and memory grow.
 
-use super::{Builder, Random};
+use super::Builder;
 use crate::mesh::{Faces, Mesh};
+use crate::random::Random;
 
 /// A landscape of fractal noise: about `triangles` triangles in a square grid, neighbours in memory near in space.
 pub fn terrain(triangles: usize, seed: u64) -> Mesh {

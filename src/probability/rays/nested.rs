@@ -250,7 +250,7 @@ mod tests {
     use crate::geometry::{Aabb, Ray, Vec3};
 
     fn random_stream(seed: u64) -> impl FnMut() -> f32 {
-        let mut random = crate::experiment::random::Random::new(seed);
+        let mut random = crate::random::Random::new(seed);
         move || random.unit() * 2.0 - 1.0
     }
 

@@ -1,8 +1,21 @@
 //! Seeded random numbers: SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014).
-//! Small, the same on every machine, and any number of independent streams.
+//! Small, the same on every machine, and any number of independent streams. Generators, optimisers, samples and experiments
+//! all draw from here.
 
 use crate::geometry::{DVec3, Vec3};
 use std::f64::consts::TAU;
+
+/// What is added for each number.
+const STEP: u64 = 0x9E37_79B9_7F4A_7C15;
+
+/// The output function of SplitMix64: a permutation whose values look random even for successive arguments.
+#[inline]
+pub fn mixed(value: u64) -> u64 {
+    let mut z = value.wrapping_add(STEP);
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}
 
 /// One stream of random numbers.
 #[derive(Clone, Debug)]
@@ -23,11 +36,9 @@ impl Random {
     }
 
     pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
+        let bits = mixed(self.0);
+        self.0 = self.0.wrapping_add(STEP);
+        bits
     }
 
     /// Uniform in [0, 1), 53 bits.
@@ -38,6 +49,11 @@ impl Random {
     /// Uniform in [0, 1), 24 bits.
     pub fn unit(&mut self) -> f32 {
         (self.bits() >> 40) as f32 / (1u32 << 24) as f32
+    }
+
+    /// Uniform in [low, high).
+    pub fn range(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.uniform()
     }
 
     /// Uniform in -1..1.
