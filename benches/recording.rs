@@ -1,6 +1,6 @@
 //! What recording costs: CPU time per query of the path tracer with and without it, single thread, depth 4.
 //!
-//! `cargo bench --bench recording [-- SCENE…]`; scenes come from `EMBREE_TRACE_SCENES` (default `/work/shared/scenes`). Rounds
+//! `cargo bench --bench recording [-- SCENE…]`; scenes come from `EMBREE_TRACE_SCENES` (default `../shared/scenes`). Rounds
 //! without and with recording take turns; CPU time is that of the whole process, the writing thread and the kernel's part of it
 //! included; the file is on disk, in the current directory.
 
@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 const ROUNDS: usize = 9;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let scenes = std::env::var_os("EMBREE_TRACE_SCENES").unwrap_or_else(|| "/work/shared/scenes".into());
+    let scenes = std::env::var_os("EMBREE_TRACE_SCENES").unwrap_or_else(|| "../shared/scenes".into());
     let named: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with('-')).collect();
     let names = if named.is_empty() { vec!["crytek_sponza".to_owned(), "kitchen".to_owned()] } else { named };
     println!(

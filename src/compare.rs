@@ -8,7 +8,7 @@ use crate::format::rays::{NO_DEPTH, NO_PATH, Purpose, Rays, Record};
 use crate::progress::Progress;
 use crate::replay::check::{Judge, T_TOLERANCE};
 use crate::replay::pixels::ImageSize;
-use crate::replay::select::Filter;
+use crate::replay::select::{Filter, Portion};
 use crate::replay::tally::Tally;
 use crate::replay::{self, Mismatch, Outcome};
 use crate::traverse::{Masks, Overlap, Prepared, Traversal};
@@ -54,6 +54,8 @@ pub struct Settings {
     pub costs: Costs,
     pub scene: u16,
     pub filter: Filter,
+    /// Only queries that a builder with this portion has not seen.
+    pub held_out: Option<Portion>,
     pub sample: Option<u64>,
     /// Size of the traced image, where it is known.
     pub image: Option<ImageSize>,
@@ -172,6 +174,7 @@ pub fn compare(
                 traversal,
                 scene: settings.scene,
                 filter: settings.filter.clone(),
+                held_out: settings.held_out,
                 sample: settings.sample,
                 overlap: index == overlap_run,
                 image: settings.image.filter(|_| settings.pixels),
@@ -182,7 +185,7 @@ pub fn compare(
                 let why = if rays.query_count() == 0 {
                     "; the recording is empty"
                 } else {
-                    "; --filter, --sample or --scene leave none"
+                    "; --filter, --held-out, --sample or --scene leave none"
                 };
                 return Err(CompareError::NoQueries { path: rays_path.to_owned(), why });
             }

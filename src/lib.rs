@@ -6,18 +6,22 @@
 //! |---|---|---|
 //! | shapes | [`geometry`], [`tree`] | boxes, rays, triangles; nodes as they stand in a file |
 //! | scenes | [`mesh`] | triangles from OBJ, PLY and generators |
-//! | building | [`builder`], [`probability`] | trees from triangles, and how likely a box is hit |
-//! | formats | [`format`] | `.rays` and `.bvh`, each read and written in one place |
-//! | queries | [`traverse`], [`replay`], [`compare`] | rays over trees: answers, counts, agreement with a recording |
-//! | experiments | [`experiment`], [`report`] | the figures of the paper, as CSV and plots |
-//! | Embree | `embree` (feature) | queries, recording, and Embree's own trees |
+//! | Embree | `embree` (feature) | queries through the shim, and Embree's own trees |
+//! | queries | `render`, `record` (feature) | a renderer that asks, and the one writer of what was asked |
+//! | formats | [`format`], [`files`] | `.rays` and `.bvh`, each read and written in one place |
+//! | looking | [`inspect`], [`diff`] | what is in a file, and how two differ |
+//! | building | [`builder`], [`probability`], [`optimize`], [`training`], [`recipe`] | trees from triangles, and from rays how likely a box is hit |
+//! | traversal | [`traverse`], [`replay`] | recorded queries over any tree: counts, and agreement with the recording |
+//! | results | [`compare`], [`report`], [`experiment`] | trees side by side; tables, JSON, heat maps; the paper's figures |
+//! | around it | [`cli`], [`progress`], [`random`] | what all commands and all algorithms share |
 //!
 //! # Invariants
 //!
 //! 1. `format` knows neither builders nor Embree.
 //! 2. Builders and optimisers see boxes, and rays only through a probability.
 //! 3. Same input, same seed: same bytes out, whatever the number of threads.
-//! 4. No input file makes a tool panic, read out of bounds, loop or allocate without limit.
+//! 4. `traverse` is the only code that counts, and allocates nothing per query.
+//! 5. No input file makes a tool panic, read out of bounds, loop or allocate without limit.
 
 pub mod builder;
 pub mod cli;

@@ -17,7 +17,7 @@ use crate::traverse::{Counts, Hit, Overlap, Prepared, PreparedRay, Recorded, Scr
 use check::{Judge, Verdict};
 use pixels::{ImageSize, Pixels};
 use rayon::prelude::*;
-use select::{Filter, Sample};
+use select::{Filter, Portion, Sample};
 use std::ops::Range;
 use std::time::Instant;
 use tally::{Replayed, Tallies};
@@ -32,6 +32,8 @@ pub struct Options {
     /// Only queries of this scene number ([`crate::format::rays::ChunkInfo::scene`]).
     pub scene: u16,
     pub filter: Filter,
+    /// Leave out the queries that this portion trains with.
+    pub held_out: Option<Portion>,
     /// Only so many, spread over the file; before the filter.
     pub sample: Option<u64>,
     /// Also count P_R, for T_R and Γ_R, and hold RayOrder to it.
@@ -179,7 +181,8 @@ impl Job<'_> {
     fn query<'c>(&self, chunk: &'c Chunk, start: u64, number: u64) -> Option<Query<'c>> {
         let index = (number - start) as usize;
         let record = &chunk.records[index];
-        if !self.options.filter.accepts(record) {
+        let trained = |portion: &Portion| portion.trains(record, number);
+        if !self.options.filter.accepts(record) || self.options.held_out.as_ref().is_some_and(trained) {
             return None;
         }
         let rejects = if record.flags & flag::HAS_REJECTS != 0 {

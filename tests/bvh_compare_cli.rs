@@ -173,6 +173,35 @@ fn tables_fit_a_terminal_and_csv_has_a_row_per_group() {
 }
 
 #[test]
+fn what_a_tree_was_trained_with_is_not_held_out() {
+    let files = Files::new();
+    let build = |options: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_bvh-build"))
+            .args(["two.bvh", "ours.bvh", "--rays", "casts.rays", "--format", "json"])
+            .args(options)
+            .current_dir(files.directory.path())
+            .output()
+            .expect("running bvh-build");
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        serde_json::from_str::<serde_json::Value>(&text(&output.stdout)).expect("JSON")
+    };
+    let trained = build(&["--train", "0.3", "--seed", "5", "--optimize", "rotations"]);
+    let report = files.json(&["ours.bvh", "casts.rays", "--held-out", "0.3", "--seed", "5"]);
+    let odf = &report["trees"][0]["traversals"]["odf"];
+    let (training, held_out) = (number(&trained["training_queries"]), number(&odf["queries"]));
+    assert!(training > 0 && held_out > training);
+    assert_eq!(training + held_out, 3000);
+    assert_eq!(number(&odf["mismatches"]), 0);
+    let all = build(&["--heuristic", "rdh", "--filter", "kind=closest"]);
+    let closest = files.json(&["ours.bvh", "casts.rays", "--filter", "kind=closest"]);
+    assert_eq!(
+        number(&all["training_queries"]),
+        number(&closest["trees"][0]["traversals"]["odf"]["queries"])
+    );
+    files.refused(&["two.bvh", "casts.rays", "--held-out", "1.5"], &["--held-out"]);
+}
+
+#[test]
 fn filters_and_samples_choose_queries() {
     let files = Files::new();
     let total = |arguments: &[&str]| {

@@ -8,7 +8,7 @@ use embree_trace::format::bvh::Bvh;
 use embree_trace::format::rays::Rays;
 use embree_trace::progress::Progress;
 use embree_trace::replay::pixels::ImageSize;
-use embree_trace::replay::select::Filter;
+use embree_trace::replay::select::{Filter, Portion};
 use embree_trace::report::{csv, heatmap, json, table};
 use embree_trace::traverse::Traversal;
 use std::io::Write;
@@ -22,6 +22,7 @@ Examples:
   bvh-compare built.bvh ours.bvh casts.rays
   bvh-compare built.bvh ours.bvh casts.rays --filter purpose=shadow,depth=1.. --format json
   bvh-compare built.bvh ours.bvh casts.rays --sample 100000 --fail-above 1.02
+  bvh-compare built.bvh ours.bvh casts.rays --held-out 0.1
   bvh-compare built.bvh ours.bvh casts.rays --heatmap pictures --size 640x480
 
 Filters are conditions joined by commas: purpose=camera+diffuse (unknown, camera, shadow, ao, diffuse,
@@ -64,6 +65,14 @@ struct Arguments {
     #[arg(long, default_value = "", hide_default_value = true)]
     filter: Filter,
 
+    /// Replay only queries that bvh-build --train FRACTION, with the same --seed, has not seen
+    #[arg(long, value_name = "FRACTION", value_parser = share)]
+    held_out: Option<f64>,
+
+    /// Seed of --held-out
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+
     /// Replay the queries of this scene, when the recording holds several
     #[arg(long, default_value_t = 0)]
     scene: u16,
@@ -92,6 +101,13 @@ fn cost(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
         _ => Err("expected a number, 0 or greater".to_owned()),
+    }
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(share) if share > 0.0 && share < 1.0 => Ok(share),
+        _ => Err("expected a number between 0 and 1".to_owned()),
     }
 }
 
@@ -154,6 +170,7 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         costs: Costs { c_i: arguments.ci, c_p: arguments.cp },
         scene: arguments.scene,
         filter: arguments.filter.clone(),
+        held_out: arguments.held_out.map(|share| Portion { share, seed: arguments.seed }),
         sample: arguments.sample,
         image,
         pixels: arguments.heatmap.is_some(),

@@ -1,6 +1,6 @@
-//! What recording costs: CPU time per query with and without, one thread, a million triangles.
+//! What the recording decorator alone costs: CPU time per query with and without it, one thread, a million triangles.
 //!
-//! `cargo bench --bench recorder`. The sink copies each batch into a buffer, as a writer's front does. Plain and recording runs
+//! `cargo bench --bench decorator`. The sink copies each batch into a buffer, as a writer's front does. Plain and recording runs
 //! alternate and use the same queries; the table has medians over rounds, since the machine is rarely alone with us.
 
 use embree_trace::embree::{BatchSink, Intersector, Query, Scene, Settings, Stop};
