@@ -7,6 +7,7 @@
 //! second of one thread, and how many answers are those of the recording.
 
 mod casters;
+#[allow(dead_code, reason = "of some crates only the traversal takes part here, and of some only the tree")]
 mod peers;
 
 use casters::*;
@@ -68,7 +69,7 @@ fn compare(name: &str, triangles: &[Triangle], records: &[Record]) {
     let corners: Vec<[f32; 4]> = triangles.iter().flat_map(|t| t.0.map(|v| [v.x, v.y, v.z, 0.0])).collect();
     let tiny = tinybvh_rs::bvh::BVH::new(corners.as_slice().into()).expect("whole triangles");
     let (odf, ray_order) = (Traversal::Odf, Traversal::RayOrder);
-    let mut contenders: Vec<(&str, Box<dyn FnMut(&[Record]) -> usize + '_>)> = vec![
+    let mut contenders: Vec<(&str, Runner)> = vec![
         ("ours ODF", runner(Ours::<()>::new(&binned, odf))),
         ("ours ODF, counting", runner(Ours::<Counts>::new(&binned, odf))),
         ("ours RayOrder", runner(Ours::<()>::new(&binned, ray_order))),
@@ -119,7 +120,9 @@ fn compare(name: &str, triangles: &[Triangle], records: &[Record]) {
 }
 
 /// Casts all queries, and counts the answers that are the recorded ones.
-fn runner<'a>(mut caster: impl Caster + 'a) -> Box<dyn FnMut(&[Record]) -> usize + 'a> {
+type Runner<'a> = Box<dyn FnMut(&[Record]) -> usize + 'a>;
+
+fn runner<'a>(mut caster: impl Caster + 'a) -> Runner<'a> {
     Box::new(move |records| {
         let mut right = 0;
         for record in records {
@@ -127,7 +130,11 @@ fn runner<'a>(mut caster: impl Caster + 'a) -> Box<dyn FnMut(&[Record]) -> usize
                 caster.occluded(record) == record.is_hit()
             } else {
                 let t = caster.closest(record);
-                if record.is_hit() { (t - record.t).abs() <= 1e-3 * record.t } else { !(t < record.tfar) }
+                if record.is_hit() {
+                    (t - record.t).abs() <= 1e-3 * record.t
+                } else {
+                    t.is_nan() || t >= record.tfar
+                }
             } as usize;
         }
         right
