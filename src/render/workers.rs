@@ -41,11 +41,10 @@ pub struct Rendered {
     pub tally: Tally,
     /// Queries that would have ended the process in Embree; answered as misses, and not recorded.
     pub refused: u64,
-    /// Whether the recorder failed, so that tiles are missing.
-    pub stopped: bool,
 }
 
-/// Renders, and records every query when there is a recorder. Film, tally and recording do not depend on the number of threads.
+/// Renders, and records every query when there is a recorder; when that fails, tiles are missing, and
+/// [`Recorder::finish`] says why. Film, tally and recording do not depend on the number of threads.
 ///
 /// # Errors
 /// When Embree has no memory for an intersector.
@@ -62,7 +61,6 @@ pub fn render(
         film: Film::new(job.width, job.height),
         tally: Tally::default(),
         refused: 0,
-        stopped: false,
     });
     let work = || -> Result<(), EmbreeError> {
         let mut pixels = Vec::new();
@@ -84,7 +82,8 @@ pub fn render(
             let mut counting = Counting { queries: &mut intersector, tally: Tally::default() };
             trace_tile(scenery, job, &tile, &mut counting, &mut pixels);
             let tally = counting.tally;
-            let stopped = intersector.flush() == Err(Stop);
+            // Why the sink stopped, its recorder knows; the loop asks it before the next tile.
+            let _: Result<(), Stop> = intersector.flush();
             let refused = intersector.refused();
             drop(intersector);
             // The unit's last chunk may have to wait for its turn: not while holding the lock.
@@ -93,7 +92,6 @@ pub fn render(
             shared.film.place(&tile, &pixels);
             shared.tally.add(&tally);
             shared.refused += refused;
-            shared.stopped |= stopped;
             drop(shared);
             progress.advance(1);
         }
