@@ -211,7 +211,9 @@ pub enum OcclusionOrder {
 /// Why a tree cannot be followed in an order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum OrderError {
-    #[error("the tree has no section ORDR to take the order from; make one with bvh-build --order, or choose another order")]
+    #[error(
+        "the tree has no section ORDR to take the order from; make one with bvh-build --order, or choose another order"
+    )]
     NotRecorded,
     #[error("{orders} traversal orders for {nodes} nodes: there must be one for each")]
     Length { orders: usize, nodes: usize },

@@ -113,8 +113,14 @@ pub(super) fn run<F: Form>(
     let start = found.len();
     stack.push(root);
     while let Some(current) = stack.pop() {
-        let mut encounter =
-            Encounter { node: current.node, size: 0, entry: current.entry, tests: 0, leaf: false, occluded: false };
+        let mut encounter = Encounter {
+            node: current.node,
+            size: 0,
+            entry: current.entry,
+            tests: 0,
+            leaf: false,
+            occluded: false,
+        };
         if current.is_leaf() {
             let mut tested = Tested(0);
             let mut best = Best::end_of(ray);
