@@ -11,7 +11,7 @@ use crate::replay::pixels::ImageSize;
 use crate::replay::select::{Filter, Portion};
 use crate::replay::tally::Tally;
 use crate::replay::{self, Mismatch, Outcome};
-use crate::traverse::{Masks, Overlap, Prepared, Traversal};
+use crate::traverse::{Masks, OcclusionOrder, OrderError, OrderName, Overlap, Prepared, Traversal};
 use crate::tree::statistics::{Statistics, sah_cost};
 use std::fmt::Write;
 use thiserror::Error;
@@ -51,6 +51,8 @@ pub struct Candidate<'a> {
 pub struct Settings {
     /// In this order; at least one.
     pub traversals: Vec<Traversal>,
+    /// Of depth-first occlusion queries; `None` is what each tree has recorded, else nearest first.
+    pub occlusion_order: Option<OrderName>,
     pub costs: Costs,
     pub scene: u16,
     pub filter: Filter,
@@ -77,6 +79,8 @@ pub struct TreeResult {
     pub producer: String,
     pub statistics: Statistics,
     pub sah_cost: f64,
+    /// In which its occlusion queries were followed, depth first.
+    pub occlusion_order: OrderName,
     pub runs: Vec<Run>,
     /// Which of the runs also counted P_R.
     overlap_run: usize,
@@ -116,6 +120,8 @@ pub enum CompareError {
     OtherScene { path: String, found: u64, other: String, expected: u64 },
     #[error("{path}: {source}")]
     File { path: String, source: FormatError },
+    #[error("{path}: {source}")]
+    Order { path: String, source: OrderError },
     #[error("{path}: no query is left to replay{why}")]
     NoQueries { path: String, why: &'static str },
 }
@@ -161,6 +167,8 @@ pub fn compare(
     let mut results = Vec::with_capacity(trees.len());
     for Candidate { path, bvh } in trees {
         bvh.verify().map_err(|source| CompareError::File { path: path.clone(), source })?;
+        let order = OcclusionOrder::new(settings.occlusion_order, bvh.tree, bvh.order)
+            .map_err(|source| CompareError::Order { path: path.clone(), source })?;
         let prepared = Prepared::new(bvh.tree, bvh.triangles, bvh.geometries);
         let judge = Judge {
             tree: bvh.tree,
@@ -172,6 +180,7 @@ pub fn compare(
         for (index, &traversal) in settings.traversals.iter().enumerate() {
             let options = replay::Options {
                 traversal,
+                occlusion_order: order.clone(),
                 scene: settings.scene,
                 filter: settings.filter.clone(),
                 held_out: settings.held_out,
@@ -196,6 +205,7 @@ pub fn compare(
             producer: bvh.header.producer.clone(),
             statistics: Statistics::of(bvh.tree),
             sah_cost: sah_cost(bvh.tree, settings.costs.c_i, settings.costs.c_p),
+            occlusion_order: order.name(),
             runs,
             overlap_run,
         });

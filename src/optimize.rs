@@ -23,6 +23,7 @@ mod checks;
 pub mod insertion;
 pub mod measure;
 pub mod moves;
+pub mod order;
 pub mod reinsertion;
 pub mod rotations;
 pub mod search;

@@ -13,7 +13,9 @@ use crate::format::FormatError;
 use crate::format::rays::{Chunk, NO_PATH, Rays, Record, Reject, flag};
 use crate::geometry::Ray;
 use crate::progress::Progress;
-use crate::traverse::{Counts, Hit, Overlap, Prepared, PreparedRay, Recorded, Scratch, Traversal};
+use crate::traverse::{
+    Counts, Hit, OcclusionOrder, Overlap, Prepared, PreparedRay, Recorded, Scratch, Traversal,
+};
 use check::{Judge, Verdict};
 use pixels::{ImageSize, Pixels};
 use rayon::prelude::*;
@@ -29,6 +31,8 @@ const PIECE: usize = 2048;
 #[derive(Clone, Debug)]
 pub struct Options {
     pub traversal: Traversal,
+    /// In which order depth-first occlusion queries visit children; that of the tree which is replayed.
+    pub occlusion_order: OcclusionOrder,
     /// Only queries of this scene number ([`crate::format::rays::ChunkInfo::scene`]).
     pub scene: u16,
     pub filter: Filter,
@@ -203,10 +207,16 @@ impl Job<'_> {
         let mut counts = Counts::default();
         let ray = PreparedRay::new(&query.ray);
         let traversal = self.options.traversal;
-        let hit = if query.record.is_occlusion() {
-            self.prepared.occluder(traversal, &ray, &query.candidates, &mut counts, scratch)
-        } else {
-            self.prepared.closest_hit(traversal, &ray, &query.candidates, &mut counts, scratch)
+        let (prepared, candidates) = (self.prepared, &query.candidates);
+        let hit = match (query.record.is_occlusion(), traversal) {
+            (false, _) => prepared.closest_hit(traversal, &ray, candidates, &mut counts, scratch),
+            (true, Traversal::RayOrder) => {
+                prepared.occluder(traversal, &ray, candidates, &mut counts, scratch)
+            }
+            (true, Traversal::Odf) => {
+                let order = &self.options.occlusion_order;
+                prepared.occluder_in(order, &ray, candidates, &mut counts, scratch)
+            }
         };
         (hit, counts)
     }

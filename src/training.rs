@@ -3,6 +3,8 @@
 //! Data flows so: [`crate::format::rays::Rays`] → the queries that a [`Selection`] takes → [`Ray`]s for
 //! [`crate::recipe::Recipe::make`]. The queries that it leaves are for `bvh-compare --held-out`.
 
+pub mod occlusions;
+
 use crate::format::FormatError;
 use crate::format::bvh::Bvh;
 use crate::format::rays::Rays;

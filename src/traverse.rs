@@ -8,6 +8,8 @@
 //! Every form and every order gives the same answer: see [`triangle`] for how rounding is kept out of it.
 
 pub mod candidates;
+pub mod child_order;
+pub mod encounter;
 pub mod form;
 pub mod groups;
 mod leaf;
@@ -22,6 +24,8 @@ mod simd;
 pub mod triangle;
 
 pub use candidates::{All, Candidates, Recorded};
+pub use child_order::{OcclusionOrder, OrderError, OrderName};
+pub use encounter::{Encounter, cheapest_proof};
 pub use form::Link;
 pub use masks::Masks;
 pub use observer::{Counts, Observer, Path, Step};
@@ -32,6 +36,7 @@ pub use triangle::PreparedTriangle;
 use crate::format::bvh::Geometry;
 use crate::geometry::{Aabb, Triangle};
 use crate::tree::TreeView;
+use child_order::{Always, ChildOrder, Drawn, LargerFirst, NearestFirst, PerNode, rule};
 use form::Stack;
 use groups::Groups;
 use pairs::Pairs;
@@ -158,7 +163,7 @@ impl Prepared {
         observer: &mut impl Observer,
         scratch: &mut Scratch,
     ) -> Option<Hit> {
-        self.query::<false>(traversal, ray, candidates, observer, scratch)
+        self.query::<false>(traversal, &NearestFirst, ray, candidates, observer, scratch)
     }
 
     /// Whether anything among `candidates` is hit in (tnear, tfar], and what was found first.
@@ -171,13 +176,40 @@ impl Prepared {
         observer: &mut impl Observer,
         scratch: &mut Scratch,
     ) -> Option<Hit> {
-        self.query::<true>(traversal, ray, candidates, observer, scratch)
+        self.query::<true>(traversal, &NearestFirst, ray, candidates, observer, scratch)
+    }
+
+    /// [`Self::occluder`], depth first, with children in the order that `order` says.
+    #[inline]
+    pub fn occluder_in(
+        &self,
+        order: &OcclusionOrder,
+        ray: &PreparedRay,
+        candidates: &impl Candidates,
+        observer: &mut impl Observer,
+        scratch: &mut Scratch,
+    ) -> Option<Hit> {
+        macro_rules! run {
+            ($order:expr) => {
+                self.query::<true>(Traversal::Odf, &$order, ray, candidates, observer, scratch)
+            };
+        }
+        match order {
+            OcclusionOrder::Recorded(orders) => run!(PerNode(orders)),
+            OcclusionOrder::Nearest => run!(NearestFirst),
+            OcclusionOrder::Farthest => run!(Always::<{ rule::FARTHEST }>),
+            OcclusionOrder::Area(areas) => run!(LargerFirst(areas)),
+            OcclusionOrder::First => run!(Always::<{ rule::FIRST }>),
+            OcclusionOrder::Last => run!(Always::<{ rule::LAST }>),
+            OcclusionOrder::Random(seed) => run!(Drawn::new(*seed, ray)),
+        }
     }
 
     #[inline]
     fn query<const ANY: bool>(
         &self,
         traversal: Traversal,
+        order: &impl ChildOrder,
         ray: &PreparedRay,
         candidates: &impl Candidates,
         observer: &mut impl Observer,
@@ -186,9 +218,9 @@ impl Prepared {
         #[cfg(target_arch = "x86_64")]
         if self.fused {
             // SAFETY: the processor has both features, or `fused` would be false.
-            return unsafe { self.query_fused::<ANY>(traversal, ray, candidates, observer, scratch) };
+            return unsafe { self.query_fused::<ANY>(traversal, order, ray, candidates, observer, scratch) };
         }
-        self.query_anywhere::<ANY>(traversal, ray, candidates, observer, scratch)
+        self.query_anywhere::<ANY>(traversal, order, ray, candidates, observer, scratch)
     }
 
     /// `query_anywhere`, compiled for processors with AVX2 and fused multiply-add: the same bits, sooner.
@@ -197,18 +229,20 @@ impl Prepared {
     fn query_fused<const ANY: bool>(
         &self,
         traversal: Traversal,
+        order: &impl ChildOrder,
         ray: &PreparedRay,
         candidates: &impl Candidates,
         observer: &mut impl Observer,
         scratch: &mut Scratch,
     ) -> Option<Hit> {
-        self.query_anywhere::<ANY>(traversal, ray, candidates, observer, scratch)
+        self.query_anywhere::<ANY>(traversal, order, ray, candidates, observer, scratch)
     }
 
     #[inline(always)]
     fn query_anywhere<const ANY: bool>(
         &self,
         traversal: Traversal,
+        order: &impl ChildOrder,
         ray: &PreparedRay,
         candidates: &impl Candidates,
         observer: &mut impl Observer,
@@ -221,7 +255,7 @@ impl Prepared {
             Traversal::Odf => {
                 scratch.stack.start(self.stack_size);
                 let stack = &mut scratch.stack;
-                with_form!(self, form => odf::run::<ANY, _>(form, root, triangles, ray, candidates, observer, stack))
+                with_form!(self, form => odf::run::<ANY, _>(form, root, order, triangles, ray, candidates, observer, stack))
             }
             Traversal::RayOrder => {
                 let queue = &mut scratch.queue;
@@ -244,6 +278,31 @@ impl Prepared {
             scratch.stack.start(self.stack_size);
             let root = Link { entry, ..self.root };
             with_form!(self, form => overlap::run(form, root, ray, tfar, counter, &mut scratch.stack));
+        }
+    }
+}
+
+impl Prepared {
+    /// How many nodes' boxes a query's segment overlaps: the encounters that [`Self::encounters`] finds.
+    pub fn overlapped(&self, ray: &PreparedRay, scratch: &mut Scratch) -> usize {
+        let mut count = encounter::Overlaps::default();
+        self.overlap(ray, ray.tfar, &mut count, scratch);
+        count.0
+    }
+
+    /// Adds everything that an occlusion query could meet to `found`, see [`encounter`].
+    pub fn encounters(
+        &self,
+        ray: &PreparedRay,
+        candidates: &impl Candidates,
+        scratch: &mut Scratch,
+        found: &mut Vec<Encounter>,
+    ) {
+        if let Some(entry) = ray.entry(&self.root_bounds, ray.tfar) {
+            scratch.stack.start(self.stack_size);
+            let root = Link { entry, ..self.root };
+            let stack = &mut scratch.stack;
+            with_form!(self, form => encounter::run(form, root, &self.triangles, ray, candidates, stack, found));
         }
     }
 }

@@ -8,11 +8,13 @@ use embree_trace::files::{MappedFile, OutputFile};
 use embree_trace::format::bvh::{self, Bvh, Contents, flag};
 use embree_trace::format::rays::Rays;
 use embree_trace::geometry::Ray;
-use embree_trace::optimize::{Report, Stage, annealing, insertion, reinsertion, rotations};
+use embree_trace::optimize::{Report, Stage, annealing, insertion, order, reinsertion, rotations};
 use embree_trace::progress::Progress;
 use embree_trace::recipe::{Heuristic, Made, Recipe};
 use embree_trace::replay::select::{Filter, Portion};
 use embree_trace::training::Selection;
+use embree_trace::training::occlusions::{self, Occlusions};
+use embree_trace::traverse::{Counts, OcclusionOrder, OrderName, Prepared};
 use embree_trace::tree::TreeView;
 use embree_trace::tree::statistics::{Statistics, sah_cost};
 use serde_json::{Value, json};
@@ -36,6 +38,7 @@ Examples:
   bvh-build embBuilt.bvh ours.bvh --max-leaf 8               leaves of up to 8 where that lowers the SAH cost
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays       a tree for these rays: blend 0.95
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --splits sweep --optimize rotations
+  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --train 0.1 --order   and an order for its occlusion queries
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --filter kind=closest --train 0.1
 
 Exit codes: 0 good, 2 bad input or usage."
@@ -93,6 +96,10 @@ struct Arguments {
     /// Sweeps of annealing, rounds of insertion, batches of reinsertion; 0 is the default of each
     #[arg(long, default_value_t = 0, value_name = "N")]
     iterations: u32,
+    /// Choose a traversal order for the occlusion queries of every node from the recorded ones, and store it (section ORDR);
+    /// says what they cost in every order, on the training queries and on the others
+    #[arg(long, requires = "rays")]
+    order: bool,
     /// Seed of --train and of the optimisers
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -172,9 +179,9 @@ impl Arguments {
         }
     }
 
-    /// The effective segments of the training queries; none without a recording.
-    fn training(&self, bvh: &Bvh) -> Result<Vec<Ray>, Failure> {
-        let Some(path) = &self.rays else { return Ok(Vec::new()) };
+    /// The effective segments of the training queries, none without a recording; and the occlusion queries, when an order is wanted.
+    fn training(&self, bvh: &Bvh) -> Result<(Vec<Ray>, Occlusions), Failure> {
+        let Some(path) = &self.rays else { return Ok(Default::default()) };
         let at = |error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", path.display()));
         let bytes = MappedFile::open(path)?;
         let rays = Rays::parse(&bytes).map_err(|error| at(&error))?;
@@ -184,7 +191,13 @@ impl Arguments {
             portion: Portion { share: self.train, seed: self.seed },
             most: self.train_limit as usize,
         };
-        selection.read(&rays, bvh).map_err(|error| at(&error))
+        let segments = selection.read(&rays, bvh).map_err(|error| at(&error))?;
+        let occlusions = if self.order {
+            occlusions::read(&selection, &rays, bvh).map_err(|error| at(&error))?
+        } else {
+            Occlusions::default()
+        };
+        Ok((segments, occlusions))
     }
 }
 
@@ -201,7 +214,7 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     let bytes = MappedFile::open(&arguments.input)?;
     let before = Bvh::parse(&bytes).map_err(|error| in_input(&error))?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(arguments.threads.into()).build()?;
-    let training = pool.install(|| arguments.training(&before))?;
+    let (training, occlusions) = pool.install(|| arguments.training(&before))?;
     let mut output = OutputFile::create(&arguments.output)?;
 
     let progress = Progress::new("building", (before.triangles.len() + recipe.stages.len()) as u64);
@@ -224,11 +237,15 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     if let Some(image) = recorded.as_ref().and_then(|meta| meta.get("image")) {
         meta["image"] = image.clone();
     }
+    let ordered = arguments.order.then(|| {
+        let prepared = Prepared::new(tree.view(), before.triangles, before.geometries);
+        pool.install(|| ordered(&prepared, tree.view(), &occlusions, arguments))
+    });
     let contents = Contents {
         tree: tree.view(),
         triangles: before.triangles,
         geometries: before.geometries,
-        order: None,
+        order: ordered.as_ref().map(|(orders, _)| orders.as_slice()),
         meta: Some(&meta.to_string()),
         flags: before.header.flags & flag::FLATTENED,
         producer: &recipe.builder.producer(recipe.heuristic.name()),
@@ -248,6 +265,9 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     });
     if let Some(optimized) = &optimized {
         report["optimized"] = optimization(optimized);
+    }
+    if let Some((_, order)) = ordered {
+        report["order"] = order;
     }
     print(&report, arguments.format)?;
     Ok(Outcome::Good)
@@ -269,6 +289,39 @@ fn optimization(report: &Report) -> Value {
         .collect();
     json!({ "before": report.before, "after": report.after, "stages": stages })
 }
+
+/// The order of every node, and what occlusion queries cost in it and in every other.
+fn ordered(
+    prepared: &Prepared,
+    tree: TreeView,
+    queries: &Occlusions,
+    arguments: &Arguments,
+) -> (Vec<u8>, Value) {
+    let config = order::Config { c_i: arguments.ci, c_p: arguments.cp, ..Default::default() };
+    let started = Instant::now();
+    let chosen = order::choose(prepared, tree.nodes.len(), &queries.training, &config);
+    let seconds = started.elapsed().as_secs_f64();
+    let mut report = json!({
+        "training": queries.training.len(), "held_out": queries.held_out.len(), "deciding": chosen.deciding,
+        "rounds": chosen.rounds, "seconds": seconds,
+    });
+    let counts = |counts: Counts| {
+        json!({
+            "node_visits": counts.node_visits, "box_tests": counts.box_tests, "primitive_tests": counts.primitive_tests,
+        })
+    };
+    for (side, queries) in [("costs_training", &queries.training), ("costs_held_out", &queries.held_out)] {
+        for name in OrderName::ALL {
+            // Every name but `recorded` fits every tree, and that was made for this one.
+            if let Ok(order) = OcclusionOrder::new(Some(name), tree, Some(&chosen.orders)) {
+                report[side][name.key()] = counts(order::measure(prepared, &order, queries));
+            }
+        }
+        report[side]["limit"] = counts(order::limit(prepared, queries));
+    }
+    (chosen.orders, report)
+}
+
 /// What a tree looks like, in the names of `bvh-compare`.
 fn described(tree: TreeView, config: &Config) -> Value {
     let Statistics { nodes, leaves, depth, max_children, max_leaf } = Statistics::of(tree);
@@ -308,6 +361,31 @@ fn print(report: &Value, format: TextOrJson) -> std::io::Result<()> {
         let value = |tree: &str| report[tree][name].to_string();
         writeln!(out, "{:<12}{:>10}{:>12}", name.replace('_', " "), value("before"), value("after"))?;
     }
+    print_order(&mut out, &report["order"])?;
     let cost = |tree: &str| report[tree]["sah_cost"].as_f64().unwrap_or_default();
     writeln!(out, "{:<12}{:>10.2}{:>12.2}", "SAH cost", cost("before"), cost("after"))
+}
+
+/// A line for each order: what an occlusion query costs in it, and what that is of nearest first.
+fn print_order(out: &mut impl Write, order: &Value) -> std::io::Result<()> {
+    for (side, count, name) in [
+        ("costs_training", "training", "training occlusion queries"),
+        ("costs_held_out", "held_out", "held-out occlusion queries"),
+    ] {
+        let queries = order[count].as_u64().unwrap_or_default();
+        if queries == 0 {
+            continue;
+        }
+        writeln!(out, "{queries} {name}: each\n{:<12}{:>10}{:>12}{:>10}", "", "visits", "box+prim", "ratio")?;
+        let costs = &order[side];
+        let number = |name: &str, key: &str| costs[name][key].as_u64().unwrap_or_default() as f64;
+        let tests = |name: &str| number(name, "box_tests") + number(name, "primitive_tests");
+        for name in OrderName::ALL.map(OrderName::key).into_iter().chain(["limit"]) {
+            let (visits, tests, ratio) =
+                (number(name, "node_visits"), tests(name), tests(name) / tests("nearest"));
+            let each = queries as f64;
+            writeln!(out, "{name:<12}{:>10.2}{:>12.2}{ratio:>10.3}", visits / each, tests / each)?;
+        }
+    }
+    Ok(())
 }

@@ -10,7 +10,7 @@ use embree_trace::progress::Progress;
 use embree_trace::replay::pixels::ImageSize;
 use embree_trace::replay::select::{Filter, Portion};
 use embree_trace::report::{csv, heatmap, json, table};
-use embree_trace::traverse::Traversal;
+use embree_trace::traverse::{OrderName, Traversal};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -23,6 +23,7 @@ Examples:
   bvh-compare built.bvh ours.bvh casts.rays --filter purpose=shadow,depth=1.. --format json
   bvh-compare built.bvh ours.bvh casts.rays --sample 100000 --fail-above 1.02
   bvh-compare built.bvh ours.bvh casts.rays --held-out 0.1
+  bvh-compare ours.bvh casts.rays --filter kind=occlusion --traversal odf --occlusion-order nearest
   bvh-compare built.bvh ours.bvh casts.rays --heatmap pictures --size 640x480
 
 Filters are conditions joined by commas: purpose=camera+diffuse (unknown, camera, shadow, ao, diffuse,
@@ -41,6 +42,11 @@ struct Arguments {
     /// Orders of traversal; the first one decides --fail-above
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = Traversal::ALL)]
     traversal: Vec<Traversal>,
+
+    /// Order in which depth-first occlusion queries visit the children of a node; without this, what the tree's ORDR section
+    /// says where it has one, else nearest
+    #[arg(long, value_enum, value_name = "ORDER")]
+    occlusion_order: Option<OrderName>,
 
     /// What a box test costs
     #[arg(long, default_value_t = 1.0, value_parser = cost)]
@@ -167,6 +173,7 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     }
     let settings = Settings {
         traversals,
+        occlusion_order: arguments.occlusion_order,
         costs: Costs { c_i: arguments.ci, c_p: arguments.cp },
         scene: arguments.scene,
         filter: arguments.filter.clone(),

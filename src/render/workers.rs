@@ -57,11 +57,8 @@ pub fn render(
 ) -> Result<Rendered, EmbreeError> {
     let tiles = Tiles::new(job);
     let next = AtomicU64::new(0);
-    let shared = Mutex::new(Rendered {
-        film: Film::new(job.width, job.height),
-        tally: Tally::default(),
-        refused: 0,
-    });
+    let shared =
+        Mutex::new(Rendered { film: Film::new(job.width, job.height), tally: Tally::default(), refused: 0 });
     let work = || -> Result<(), EmbreeError> {
         let mut pixels = Vec::new();
         loop {

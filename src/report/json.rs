@@ -25,6 +25,8 @@ struct Tree<'a> {
     max_children: usize,
     max_leaf: usize,
     sah_cost: f64,
+    /// In which depth-first occlusion queries visited children.
+    occlusion_order: &'static str,
     t_r: u64,
     t_r_by_kind: BTreeMap<&'static str, u64>,
     /// Γ_R, strictly front to back over every effective segment.
@@ -94,6 +96,7 @@ fn tree_of<'a>(comparison: &'a Comparison, tree: &'a TreeResult) -> Tree<'a> {
         max_children: tree.statistics.max_children,
         max_leaf: tree.statistics.max_leaf,
         sah_cost: tree.sah_cost,
+        occlusion_order: tree.occlusion_order.key(),
         t_r: tree.t_r(),
         t_r_by_kind: tree
             .overlap()

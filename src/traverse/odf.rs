@@ -1,7 +1,8 @@
-//! Ordered depth first (the paper's algorithm 1): the nearer child first, the others on a stack with the distance at
+//! Ordered depth first (the paper's algorithm 1): the nearer child first (for occlusion, whichever a [`ChildOrder`] says), the others on a stack with the distance at
 //! which they are entered, and culled again when popped if a hit has been found before them.
 
 use super::candidates::Candidates;
+use super::child_order::ChildOrder;
 use super::form::{Form, Link, Stack};
 use super::leaf::{self, Best};
 use super::observer::Observer;
@@ -10,9 +11,11 @@ use super::triangle::PreparedTriangle;
 
 /// Follows `root`, whose box the ray overlaps. With `ANY` any hit is an answer, else the closest.
 #[inline(always)]
+#[allow(clippy::too_many_arguments)] // One call site; a struct would only rename them.
 pub(super) fn run<const ANY: bool, F: Form>(
     form: &F,
     root: Link,
+    order: &impl ChildOrder,
     triangles: &[PreparedTriangle],
     ray: &PreparedRay,
     candidates: &impl Candidates,
@@ -30,7 +33,7 @@ pub(super) fn run<const ANY: bool, F: Form>(
             None
         } else {
             observer.inner(&current);
-            form.nearest(&current, &form_ray, best.t, stack)
+            order.enter(form, &current, &form_ray, best.t, stack)
         };
         current = match next {
             Some(child) => child,

@@ -1,0 +1,269 @@
+//! In which order an occlusion query visits the children of a node. Any order gives the same answer; what it costs to find an
+//! occluder differs a lot.
+//!
+//! A [`ChildOrder`] compares two children; the depth-first traversal is compiled once for each, and closest-hit queries only
+//! ever with [`NearestFirst`]. An [`OcclusionOrder`] is what a user chooses and what is chosen for a tree: one rule for all
+//! nodes, or a rule per node as the section `ORDR` of a `.bvh` has it.
+
+use super::form::{Form, Link, Stack};
+use super::ray::PreparedRay;
+use crate::random::mixed;
+use crate::tree::TreeView;
+use thiserror::Error;
+
+/// Rules of a node, as bytes of `ORDR`.
+pub mod rule {
+    /// The child entered first; of equals the first in the file.
+    pub const NEAREST: u8 = 0;
+    /// In the order of the file.
+    pub const FIRST: u8 = 1;
+    /// In the reverse order of the file.
+    pub const LAST: u8 = 2;
+    /// Exactly the reverse of [`NEAREST`].
+    pub const FARTHEST: u8 = 3;
+    /// How many there are.
+    pub const COUNT: usize = 4;
+}
+
+/// Which of two children is visited first: a strict order, whatever the ray.
+pub trait ChildOrder {
+    /// Whether `a` is visited before `b`; both are children of `parent` that the ray overlaps.
+    fn precedes(&self, parent: &Link, a: &Link, b: &Link) -> bool;
+
+    /// The child visited first, if any is overlapped; the others go onto the stack, the last of them first.
+    #[inline(always)]
+    fn enter<F: Form>(
+        &self,
+        form: &F,
+        parent: &Link,
+        ray: &F::Ray,
+        tfar: f32,
+        stack: &mut Stack,
+    ) -> Option<Link> {
+        let before = stack.len();
+        form.each(parent, ray, tfar, |link| stack.push(link));
+        let pushed = stack.above(before);
+        for end in 1..pushed.len() {
+            let mut place = end;
+            while place > 0 && self.precedes(parent, &pushed[place - 1], &pushed[place]) {
+                pushed.swap(place - 1, place);
+                place -= 1;
+            }
+        }
+        if stack.len() > before { stack.pop() } else { None }
+    }
+}
+
+/// Rule [`rule::NEAREST`] for every node.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct NearestFirst;
+
+impl ChildOrder for NearestFirst {
+    #[inline(always)]
+    fn precedes(&self, _parent: &Link, a: &Link, b: &Link) -> bool {
+        nearer(a, b)
+    }
+
+    #[inline(always)]
+    fn enter<F: Form>(
+        &self,
+        form: &F,
+        parent: &Link,
+        ray: &F::Ray,
+        tfar: f32,
+        stack: &mut Stack,
+    ) -> Option<Link> {
+        form.nearest(parent, ray, tfar, stack)
+    }
+}
+
+#[inline(always)]
+fn nearer(a: &Link, b: &Link) -> bool {
+    a.entry < b.entry || (a.entry == b.entry && a.node < b.node)
+}
+
+/// One rule for every node.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Always<const RULE: u8>;
+
+impl<const RULE: u8> ChildOrder for Always<RULE> {
+    #[inline(always)]
+    fn precedes(&self, _parent: &Link, a: &Link, b: &Link) -> bool {
+        by_rule(RULE, a, b)
+    }
+}
+
+#[inline(always)]
+fn by_rule(rule: u8, a: &Link, b: &Link) -> bool {
+    match rule {
+        rule::FIRST => a.node < b.node,
+        rule::LAST => b.node < a.node,
+        rule::FARTHEST => nearer(b, a),
+        _ => nearer(a, b),
+    }
+}
+
+/// A rule per node.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PerNode<'a>(pub &'a [u8]);
+
+impl ChildOrder for PerNode<'_> {
+    #[inline(always)]
+    fn precedes(&self, parent: &Link, a: &Link, b: &Link) -> bool {
+        by_rule(self.0.get(parent.node as usize).copied().unwrap_or(rule::NEAREST), a, b)
+    }
+}
+
+/// The larger box first.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LargerFirst<'a>(pub &'a [f32]);
+
+impl ChildOrder for LargerFirst<'_> {
+    #[inline(always)]
+    fn precedes(&self, _parent: &Link, a: &Link, b: &Link) -> bool {
+        let area = |link: &Link| self.0.get(link.node as usize).copied().unwrap_or(0.0);
+        let (area_a, area_b) = (area(a), area(b));
+        area_a > area_b || (area_a == area_b && a.node < b.node)
+    }
+}
+
+/// Drawn anew for every query and node.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Drawn(u64);
+
+impl Drawn {
+    /// What is drawn depends on the seed and the ray's bits, not on which thread follows it or when.
+    #[inline]
+    pub fn new(seed: u64, ray: &PreparedRay) -> Drawn {
+        let words = ray.origin.to_array().into_iter().chain(ray.direction.to_array());
+        Drawn(words.fold(mixed(seed), |state, word| mixed(state ^ u64::from(word.to_bits()))))
+    }
+}
+
+impl ChildOrder for Drawn {
+    #[inline(always)]
+    fn precedes(&self, _parent: &Link, a: &Link, b: &Link) -> bool {
+        let draw = |link: &Link| (mixed(self.0 ^ u64::from(link.node)), link.node);
+        draw(a) < draw(b)
+    }
+}
+
+/// The name of an order for occlusion queries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum)]
+pub enum OrderName {
+    /// What was chosen for each node, from the tree's ORDR section
+    Recorded,
+    /// The child that the ray enters first
+    Nearest,
+    /// The reverse of nearest
+    Farthest,
+    /// The child of larger surface area (SATO)
+    Area,
+    /// In the order of the file
+    First,
+    /// In the reverse order of the file
+    Last,
+    /// Drawn anew for every query and node
+    Random,
+}
+
+impl OrderName {
+    pub const ALL: [OrderName; 7] = [
+        OrderName::Recorded,
+        OrderName::Nearest,
+        OrderName::Farthest,
+        OrderName::Area,
+        OrderName::First,
+        OrderName::Last,
+        OrderName::Random,
+    ];
+
+    /// The name in options, tables and JSON.
+    pub fn key(self) -> &'static str {
+        match self {
+            OrderName::Recorded => "recorded",
+            OrderName::Nearest => "nearest",
+            OrderName::Farthest => "farthest",
+            OrderName::Area => "area",
+            OrderName::First => "first",
+            OrderName::Last => "last",
+            OrderName::Random => "random",
+        }
+    }
+}
+
+/// The order of occlusion queries over one tree.
+#[derive(Clone, Debug, PartialEq)]
+pub enum OcclusionOrder {
+    /// A byte of [`rule`] per node; another value counts as nearest first.
+    Recorded(Vec<u8>),
+    Nearest,
+    Farthest,
+    /// Larger surface area first (SATO: Nah and Manocha, "SATO: Surface Area Traversal Order for Shadow Ray Tracing", 2014).
+    /// The area of each node's box.
+    Area(Vec<f32>),
+    First,
+    Last,
+    /// With this seed.
+    Random(u64),
+}
+
+/// Why a tree cannot be followed in an order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum OrderError {
+    #[error(
+        "the tree has no section ORDR to take the order from; make one with bvh-build --order, or choose another order"
+    )]
+    NotRecorded,
+    #[error("{orders} traversal orders for {nodes} nodes: there must be one for each")]
+    Length { orders: usize, nodes: usize },
+    #[error("traversal order {value} of node {node}: expected 0 to 3")]
+    Value { node: usize, value: u8 },
+}
+
+impl OcclusionOrder {
+    /// The order called `name` over `tree`, whose section `ORDR` is `recorded`. Without a name, what is recorded, else nearest first.
+    ///
+    /// # Errors
+    /// When the recorded order is asked for and is not there, or does not fit the tree.
+    pub fn new(
+        name: Option<OrderName>,
+        tree: TreeView,
+        recorded: Option<&[u8]>,
+    ) -> Result<OcclusionOrder, OrderError> {
+        let default = if recorded.is_some() { OrderName::Recorded } else { OrderName::Nearest };
+        Ok(match name.unwrap_or(default) {
+            OrderName::Recorded => {
+                let orders = recorded.ok_or(OrderError::NotRecorded)?;
+                if orders.len() != tree.nodes.len() {
+                    return Err(OrderError::Length { orders: orders.len(), nodes: tree.nodes.len() });
+                }
+                if let Some(node) = orders.iter().position(|&value| usize::from(value) >= rule::COUNT) {
+                    return Err(OrderError::Value { node, value: orders[node] });
+                }
+                OcclusionOrder::Recorded(orders.to_vec())
+            }
+            OrderName::Nearest => OcclusionOrder::Nearest,
+            OrderName::Farthest => OcclusionOrder::Farthest,
+            OrderName::Area => {
+                OcclusionOrder::Area(tree.nodes.iter().map(|node| node.bounds().area()).collect())
+            }
+            OrderName::First => OcclusionOrder::First,
+            OrderName::Last => OcclusionOrder::Last,
+            OrderName::Random => OcclusionOrder::Random(1),
+        })
+    }
+
+    /// What it is called.
+    pub fn name(&self) -> OrderName {
+        match self {
+            OcclusionOrder::Recorded(_) => OrderName::Recorded,
+            OcclusionOrder::Nearest => OrderName::Nearest,
+            OcclusionOrder::Farthest => OrderName::Farthest,
+            OcclusionOrder::Area(_) => OrderName::Area,
+            OcclusionOrder::First => OrderName::First,
+            OcclusionOrder::Last => OrderName::Last,
+            OcclusionOrder::Random(_) => OrderName::Random,
+        }
+    }
+}
