@@ -244,7 +244,9 @@ pub fn truth(ray: &Ray, triangles: &[Triangle], accepts: impl Fn(u32) -> bool) -
             .fold(0.0, f64::max);
         let edge = triangle.0[1].distance(triangle.0[2]).min(triangle.0[0].distance(triangle.0[1]));
         let slack = 1e-5 + 1e-6 * scale / f64::from(edge).max(1e-9) / hit.cosine.max(1e-9);
-        let end = 1e-5 * hit.t.abs() + 1e-6 * scale / f64::from(ray.direction.length());
+        // What rounding does to the distance from the plane moves t by as much more as the ray is slanted.
+        let end =
+            1e-5 * hit.t.abs() + 1e-6 * scale / f64::from(ray.direction.length()) / hit.cosine.max(1e-9);
         if !accepts(index as u32) || hit.margin < -slack || hit.t < tnear - end || hit.t > tfar + end {
             continue;
         }
