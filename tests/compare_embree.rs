@@ -1,0 +1,113 @@
+//! What Embree answered, replayed: every recording that `embree-trace` makes is confirmed over Embree's own tree and over
+//! others, by every traversal.
+#![cfg(feature = "embree")]
+
+mod compare_support;
+
+use compare_support::*;
+use embree_trace::builder::{self, Config};
+use embree_trace::compare::{Candidate, Costs, Settings, check_scenes, compare};
+use embree_trace::files::MappedFile;
+use embree_trace::format::bvh::{self, Bvh, Contents};
+use embree_trace::format::rays::Rays;
+use embree_trace::mesh::{Mesh, generate, obj};
+use embree_trace::progress::Progress;
+use embree_trace::replay::select::Filter;
+use embree_trace::traverse::Traversal;
+use embree_trace::tree::TreeView;
+use std::path::Path;
+use std::process::Command;
+
+/// Records `mesh` with `options`, and replays it over Embree's tree, ours, and random ones of other widths.
+fn confirm(name: &str, mesh: &Mesh, options: &[&str], borderline: u64) {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let path = |file: &str| directory.path().join(file);
+    let mut text = Vec::new();
+    obj::write(&mut text, mesh, "scene.mtl").expect("writing to memory");
+    std::fs::write(path("scene.obj"), text).expect("writing a scene");
+    let output = Command::new(env!("CARGO_BIN_EXE_embree-trace"))
+        .arg(path("scene.obj"))
+        .arg("--savetrace")
+        .args([path("casts.rays"), path("built.bvh")])
+        .args(["--size", "64x48", "--spp", "2"])
+        .args(options)
+        .output()
+        .expect("running embree-trace");
+    assert!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+
+    let open = |file: &Path| MappedFile::open(file).expect("a file that was just written");
+    let (built, casts) = (open(&path("built.bvh")), open(&path("casts.rays")));
+    let built = Bvh::parse(&built).expect("Embree's tree");
+    let rays = Rays::parse(&casts).expect("a recording");
+    assert!(rays.query_count() > 3000, "{name}");
+    let with_tree = |tree: TreeView| {
+        let mut bytes = Vec::new();
+        let contents = Contents {
+            tree,
+            triangles: built.triangles,
+            geometries: built.geometries,
+            order: None,
+            meta: None,
+            flags: 0,
+            producer: "a test",
+        };
+        bvh::write(&mut bytes, &contents).expect("writing to memory");
+        bytes
+    };
+    let ours = builder::build(built.triangles, &Config::default(), &Progress::hidden()).expect("a tree");
+    let others = [
+        with_tree(ours.view()),
+        with_tree(random_tree(built.triangles, 4, 3, &mut Random(1)).view()),
+        with_tree(random_tree(built.triangles, 7, 2, &mut Random(2)).view()),
+    ];
+    let others: Vec<Bvh> = others.iter().map(|bytes| Bvh::parse(bytes).expect("a tree just written")).collect();
+    let candidates: Vec<Candidate> = std::iter::once(&built)
+        .chain(&others)
+        .enumerate()
+        .map(|(number, bvh)| Candidate { path: format!("{name} {number}"), bvh })
+        .collect();
+    let warning = check_scenes(&candidates, name, &rays).expect("one scene");
+    assert_eq!(warning, None);
+    let settings = Settings {
+        traversals: Traversal::ALL.to_vec(),
+        costs: Costs { c_i: 1.0, c_p: 1.0 },
+        scene: 0,
+        filter: Filter::default(),
+        sample: None,
+        image: None,
+        pixels: false,
+    };
+    let comparison =
+        compare(&candidates, name, &rays, settings, &Progress::hidden()).expect("whole files");
+    assert_eq!(comparison.failures(), Vec::<String>::new());
+    for tree in &comparison.trees {
+        for run in &tree.runs {
+            let total = &run.outcome.tallies.total;
+            assert_eq!(total.queries, rays.query_count());
+            assert!(total.borderline <= borderline, "{}: {} borderline", tree.path, total.borderline);
+        }
+    }
+}
+
+#[test]
+fn embrees_answers_are_confirmed_on_every_scene_of_our_own() {
+    confirm("cornell box", &generate::cornell_box(), &["--isa", "sse42"], 1);
+    confirm("courtyard", &generate::courtyard(6, 1), &[], 1);
+    confirm("quads", &generate::quads(16, 1), &["--integrator", "ao"], 1);
+}
+
+#[test]
+fn slivers_and_copies_are_confirmed_too() {
+    // Needles thinner than rounding: many rays graze, and none is wrong.
+    confirm("slivers", &generate::slivers(300, 1), &["--isa", "sse42"], 10);
+    confirm("coincident", &generate::coincident(), &[], 1);
+}
+
+#[test]
+fn other_trees_of_embree_are_confirmed() {
+    let mesh = generate::courtyard(6, 2);
+    confirm("high", &mesh, &["--quality", "high"], 1);
+    confirm("robust", &mesh, &["--flags", "robust"], 2);
+    confirm("compact", &mesh, &["--flags", "compact"], 1);
+    confirm("builder", &mesh, &["--bvh", "builder", "--integrator", "shadow"], 1);
+}
