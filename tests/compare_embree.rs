@@ -60,7 +60,8 @@ fn confirm(name: &str, mesh: &Mesh, options: &[&str], borderline: u64) {
         with_tree(random_tree(built.triangles, 4, 3, &mut Random(1)).view()),
         with_tree(random_tree(built.triangles, 7, 2, &mut Random(2)).view()),
     ];
-    let others: Vec<Bvh> = others.iter().map(|bytes| Bvh::parse(bytes).expect("a tree just written")).collect();
+    let others: Vec<Bvh> =
+        others.iter().map(|bytes| Bvh::parse(bytes).expect("a tree just written")).collect();
     let candidates: Vec<Candidate> = std::iter::once(&built)
         .chain(&others)
         .enumerate()
@@ -77,8 +78,7 @@ fn confirm(name: &str, mesh: &Mesh, options: &[&str], borderline: u64) {
         image: None,
         pixels: false,
     };
-    let comparison =
-        compare(&candidates, name, &rays, settings, &Progress::hidden()).expect("whole files");
+    let comparison = compare(&candidates, name, &rays, settings, &Progress::hidden()).expect("whole files");
     assert_eq!(comparison.failures(), Vec::<String>::new());
     for tree in &comparison.trees {
         for run in &tree.runs {

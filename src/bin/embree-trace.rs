@@ -238,7 +238,7 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         Some([rays, bvh]) => {
             // The file of rays first: the tree must not replace an old one when there will be no rays.
             let out = files::create(rays)?;
-            let (tree, header) = write_tree(&scene, arguments.bvh, bvh, &mut summary)?;
+            let (tree, header) = write_tree(&scene, arguments.bvh, bvh, size, &mut summary)?;
             summary.tree = Some(tree);
             summary.seconds.tree = lap();
             Some(start_recorder(rays, out, &header, arguments.compress, job.threads)?)
@@ -282,8 +282,11 @@ fn write_tree(
     scene: &Scene,
     choice: TreeChoice,
     path: &Path,
+    image: [u32; 2],
     summary: &mut Summary,
 ) -> Result<(TreeLine, Header), Failure> {
+    // Records name pixels by y * width + x; with the size, tools that see only the files can draw them.
+    let meta = serde_json::json!({ "image": image }).to_string();
     let source = match choice {
         TreeChoice::Live => TreeSource::Live,
         TreeChoice::Builder => TreeSource::Builder,
@@ -295,7 +298,7 @@ fn write_tree(
         triangles: &triangles,
         geometries: &geometries,
         order: None,
-        meta: None,
+        meta: Some(&meta),
         flags,
         producer: &producer,
     };
