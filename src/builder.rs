@@ -1,7 +1,7 @@
 //! Greedy top-down building of binary trees (paper, section 2.4, algorithm 3).
 //!
 //! Triangles become [`reference::Reference`]s; at each node an algorithm ([`binned`], [`sweep`]) finds the candidate of
-//! least [`cost`], divides the references, and [`recursion`] goes on with both halves, on several threads, writing each
+//! least [`cost`], divides the references, and `recursion` goes on with both halves, on several threads, writing each
 //! node where the number of primitives says that it belongs. How likely a box is to be hit comes from a
 //! [`Probability`]: with [`Area`] this is a SAH builder.
 //!

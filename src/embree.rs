@@ -2,7 +2,7 @@
 //!
 //! A [`Mesh`] becomes a [`Scene`], committed; any number of threads ask it, each through an [`Intersector`] of its own; a
 //! recording one hands batches of [`Record`]s to a [`BatchSink`]. [`Scene::tree`] gives the tree as the files have it.
-//! Everything unsafe is here: the C++ side of `embree-shim/shim.h` never throws, and is checked by the layouts in [`ffi`].
+//! Everything unsafe is here: the C++ side of `embree-shim/shim.h` never throws, and is checked by the layouts in `ffi`.
 //!
 //! [`Record`]: crate::format::rays::Record
 

@@ -8,7 +8,7 @@
 //! | scenes | [`mesh`] | triangles from OBJ, PLY and generators |
 //! | Embree | `embree` (feature) | queries through the shim, and Embree's own trees |
 //! | queries | `render`, `record` (feature) | a renderer that asks, and the one writer of what was asked |
-//! | formats | [`format`], [`files`] | `.rays` and `.bvh`, each read and written in one place |
+//! | formats | [`mod@format`], [`files`] | `.rays` and `.bvh`, each read and written in one place |
 //! | looking | [`inspect`], [`diff`] | what is in a file, and how two differ |
 //! | building | [`builder`], [`probability`], [`optimize`], [`training`], [`recipe`] | trees from triangles, and from rays how likely a box is hit |
 //! | traversal | [`traverse`], [`replay`] | recorded queries over any tree: counts, and agreement with the recording |

@@ -1,6 +1,6 @@
 //! A recording over a tree: every query again, what it costs, and whether the answer is the recorded one.
 //!
-//! Chunks are read a few at a time and cut into pieces of [`PIECE`] queries, which threads share. Within a piece the queries of one kind, depth
+//! Chunks are read a few at a time and cut into pieces of `PIECE` queries, which threads share. Within a piece the queries of one kind, depth
 //! and purpose run together, so that each group is timed without a clock in the loop. Memory does not grow with
 //! the file: a few chunks per thread, tallies, one image when pixels are wanted.
 

@@ -2,7 +2,7 @@
 //!
 //! A [`Prepared`] tree is made once per tree: inner nodes in a form that is quick to test ([`pairs`] for binary
 //! trees, [`groups`] for wider ones), triangles in leaf order. Each thread has a [`Scratch`]; nothing is allocated per
-//! query. The algorithms ([`odf`], [`ray_order`]) are generic over the form, over who watches ([`Observer`]) and over which
+//! query. The algorithms (`odf`, `ray_order`) are generic over the form, over who watches ([`Observer`]) and over which
 //! triangles count ([`Candidates`]), and are compiled for each combination.
 //!
 //! Every form and every order gives the same answer: see [`triangle`] for how rounding is kept out of it.

@@ -1,6 +1,6 @@
 //! The four shapes of the paper's section 5.2, and the rays that it shoots at them.
 //!
-//! A [`Shape`] and one [`Trial`]'s random numbers make a [`Setup`]: triangles, and an unaligned circular frustum of rays.
+//! A [`Shape`] and one `Trial`'s random numbers make a [`Setup`]: triangles, and an unaligned circular frustum of rays.
 
 use crate::geometry::{DVec3, Ray, Triangle, Vec3};
 use crate::random::Random;

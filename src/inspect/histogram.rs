@@ -74,7 +74,7 @@ impl PowersOfTwo {
         self.nan += other.nan;
     }
 
-    /// The counts in bins of equal width on a log scale, as few powers of two wide as [`MAX_BINS`] allows.
+    /// The counts in bins of equal width on a log scale, as few powers of two wide as `MAX_BINS` allows.
     pub fn histogram(&self, name: &'static str) -> Histogram {
         let mut bins = Vec::new();
         let special = |bins: &mut Vec<Bin>, label, count| {

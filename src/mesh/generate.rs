@@ -1,7 +1,7 @@
 //! Scenes from our own code: fixtures, demo scenes and scale tests, the same bytes on every machine.
 //!
 //! Only additions, multiplications, divisions and square roots of `f64` are used, which IEEE 754 defines to the last bit; the
-//! system's `sin` and `cos` are not, so [`circle`] has its own. Rust never fuses a multiplication with an addition. Random
+//! system's `sin` and `cos` are not, so `circle` has its own. Rust never fuses a multiplication with an addition. Random
 //! numbers come from [`crate::random`].
 
 mod cornell;

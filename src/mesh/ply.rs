@@ -1,6 +1,6 @@
 //! PLY (the Stanford polygon file format): ascii and binary, either byte order, whatever its elements and properties are.
 //!
-//! The header lists elements in file order; [`header`] parses it, [`values`] walks the numbers behind it. The vertex element gives
+//! The header lists elements in file order; `header` parses it, `values` walks the numbers behind it. The vertex element gives
 //! positions (`x`, `y`, `z`), the face element polygons (`vertex_indices` or `vertex_index`), `tristrips` triangle strips in
 //! which -1 starts a new one. Everything else is stepped over. A face may stand before the vertices.
 

@@ -2,7 +2,7 @@
 //! occluder differs a lot.
 //!
 //! A [`ChildOrder`] compares two children; the depth-first traversal is compiled once for each, and closest-hit queries only
-//! ever with [`NearestFirst`]. An [`OcclusionOrder`] is what a user chooses and what is chosen for a tree: one rule for all
+//! ever with `NearestFirst`. An [`OcclusionOrder`] is what a user chooses and what is chosen for a tree: one rule for all
 //! nodes, or a rule per node as the section `ORDR` of a `.bvh` has it.
 
 use super::form::{Form, Link, Stack};

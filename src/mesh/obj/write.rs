@@ -8,7 +8,7 @@ use std::io::{self, Write};
 /// Lines between two steps of a progress bar.
 const BATCH: usize = 65_536;
 
-/// Lines of the OBJ that hold vertices and faces: the steps of the progress that [`write`] reports.
+/// Lines of the OBJ that hold vertices and faces: the steps of the progress that [`write()`] reports.
 pub fn line_count(mesh: &Mesh) -> usize {
     let faces: usize = mesh.parts.iter().map(|part| part.indices.len() / part.faces.corners()).sum();
     mesh.vertices.len() + faces
