@@ -101,30 +101,37 @@ impl Caster for ObvhsCaster {
 /// tinybvh's binary tree. The crate has no occlusion query and no start of the interval.
 pub struct TinyBvhCaster<'a>(pub BVH<'a>);
 
+/// A ray at the alignment that tinybvh's own code counts on, and the crate's type does not have: its constructor and
+/// its traversal may overwrite the stack otherwise.
+#[repr(align(64))]
+struct Aligned(tinybvh_rs::Ray);
+
 impl TinyBvhCaster<'_> {
+    /// t in units of the direction's length: it takes any length as long as the inverse agrees.
     fn cast(&self, record: &Record) -> f32 {
-        let mut ray = tinybvh_rs::Ray::new(record.origin.to_array(), record.direction.to_array());
-        ray.hit.t = record.tfar.min(tinybvh_rs::INFINITE);
-        let end = ray.hit.t;
-        self.0.intersect(&mut ray);
-        if ray.hit.t < end { ray.hit.t } else { f32::INFINITY }
+        let end = record.tfar.min(tinybvh_rs::INFINITE);
+        let mut ray = Aligned(tinybvh_rs::Ray {
+            origin: record.origin.to_array(),
+            dir: record.direction.to_array(),
+            r_d: record.direction.recip().to_array(),
+            // The mask of instances: all.
+            padding_0: 0xFFFF,
+            hit: tinybvh_rs::Intersection { t: end, ..Default::default() },
+            ..Default::default()
+        });
+        self.0.intersect(&mut ray.0);
+        if ray.0.hit.t < end { ray.0.hit.t } else { f32::INFINITY }
     }
 }
 
 impl Caster for TinyBvhCaster<'_> {
     fn closest(&mut self, record: &Record) -> f32 {
-        // It normalises the direction, so its distances are in world units.
-        self.cast(&scaled(record)) / record.direction.length()
+        self.cast(record)
     }
 
     fn occluded(&mut self, record: &Record) -> bool {
-        self.cast(&scaled(record)).is_finite()
+        self.cast(record).is_finite()
     }
-}
-
-/// The interval in world units.
-fn scaled(record: &Record) -> Record {
-    Record { tfar: record.tfar * record.direction.length(), ..*record }
 }
 
 /// parry3d's tree with parry3d's triangle test; best first, and without occlusion queries.
