@@ -41,19 +41,8 @@ impl Selection {
     /// # Errors
     /// When the recording is of another scene than `bvh`, a chunk is damaged, or no query is left.
     pub fn read(&self, rays: &Rays, bvh: &Bvh) -> Result<Vec<Ray>, TrainingError> {
-        let (of_rays, tree) = (rays.header.fingerprint, bvh.header.fingerprint);
-        if of_rays != 0 && of_rays != tree {
-            return Err(TrainingError::OtherScene { rays: of_rays, tree });
-        }
-        let firsts: Vec<u64> = rays
-            .chunks()
-            .iter()
-            .scan(0, |next, chunk| {
-                let first = *next;
-                *next += u64::from(chunk.records);
-                Some(first)
-            })
-            .collect();
+        same_scene(rays, bvh)?;
+        let firsts = rays.first_queries();
         let chosen = rays.map_chunks(|index, chunk| {
             if chunk.info.scene != self.scene {
                 return Vec::new();
@@ -74,4 +63,13 @@ impl Selection {
         let place = |index: usize| (index as u128 * chosen.len() as u128 / self.most as u128) as usize;
         Ok((0..self.most).map(|index| chosen[place(index)]).collect())
     }
+}
+
+/// Refuses a recording that says that it is of another scene than `bvh`.
+fn same_scene(rays: &Rays, bvh: &Bvh) -> Result<(), TrainingError> {
+    let (of_rays, tree) = (rays.header.fingerprint, bvh.header.fingerprint);
+    if of_rays != 0 && of_rays != tree {
+        return Err(TrainingError::OtherScene { rays: of_rays, tree });
+    }
+    Ok(())
 }

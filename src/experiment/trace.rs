@@ -68,15 +68,7 @@ impl Trace {
             return Err(TraceError::NoQueries);
         }
         let share = most as f64 / rays.query_count() as f64;
-        let mut first = 0;
-        let firsts: Vec<u64> = rays
-            .chunks()
-            .iter()
-            .map(|chunk| {
-                first += u64::from(chunk.records);
-                first - u64::from(chunk.records)
-            })
-            .collect();
+        let firsts = rays.first_queries();
         let triangles = bvh.triangles.len();
         let chunks = rays.map_chunks(|index, chunk| {
             let mut rejects = chunk.rejects.iter().peekable();

@@ -1,7 +1,7 @@
 //! Recorded occlusion queries, whole: with the masks and rejects that decide which triangles occlude. They choose and judge
 //! the order in which occlusion queries visit children ([`crate::optimize::order`]).
 
-use super::{Selection, TrainingError};
+use super::{Selection, TrainingError, same_scene};
 use crate::format::bvh::Bvh;
 use crate::format::rays::{Rays, Reject, flag};
 use crate::geometry::Ray;
@@ -38,19 +38,8 @@ pub struct Occlusions {
 /// # Errors
 /// When the recording is of another scene than `bvh`, or a chunk is damaged.
 pub fn read(selection: &Selection, rays: &Rays, bvh: &Bvh) -> Result<Occlusions, TrainingError> {
-    let (of_rays, tree) = (rays.header.fingerprint, bvh.header.fingerprint);
-    if of_rays != 0 && of_rays != tree {
-        return Err(TrainingError::OtherScene { rays: of_rays, tree });
-    }
-    let firsts: Vec<u64> = rays
-        .chunks()
-        .iter()
-        .scan(0, |next, chunk| {
-            let first = *next;
-            *next += u64::from(chunk.records);
-            Some(first)
-        })
-        .collect();
+    same_scene(rays, bvh)?;
+    let firsts = rays.first_queries();
     let found = rays.map_chunks(|index, chunk| {
         let mut found = Occlusions::default();
         if chunk.info.scene != selection.scene {

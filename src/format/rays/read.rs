@@ -96,6 +96,16 @@ impl<'a> Rays<'a> {
         Ok(Chunk { info: entry.info, records, rejects })
     }
 
+    /// The number, within the file, of each chunk's first query.
+    pub fn first_queries(&self) -> Vec<u64> {
+        let mut next = 0;
+        let first = |chunk: &ChunkEntry| {
+            next += u64::from(chunk.records);
+            next - u64::from(chunk.records)
+        };
+        self.chunks.iter().map(first).collect()
+    }
+
     /// Calls `work` with the number and content of every chunk, on rayon's threads; the results are in file order.
     ///
     /// # Errors
