@@ -1,7 +1,7 @@
 //! Opening, mapping and making files, for the binaries: the only module of the library that knows paths.
 //!
 //! Contract of the maps: the file is only read, and must not be truncated by another program while a tool runs
-//! (the kernel then ends the process with SIGBUS). Writers make a new file beside the old one and rename it, so
+//! (the kernel then ends the process with SIGBUS). Writers make a new file and give it the name, they never truncate one, so
 //! that none of our own tools breaks this.
 
 use memmap2::Mmap;
@@ -133,12 +133,22 @@ impl Drop for OutputFile {
     }
 }
 
-/// Opens a file to be written straight to its path, truncated: for a `.rays`, of which every moment is worth keeping.
+/// Makes a file to be written straight to its path: for a `.rays`, of which every moment is worth keeping. An older file of the name
+/// is unlinked, not truncated, so that whoever has it mapped keeps what is in it. Where the name is a device or a pipe, it is written as it is.
 ///
 /// # Errors
 /// When the file cannot be made.
 pub fn create(path: &Path) -> Result<File, FileError> {
-    File::create(path).map_err(|error| FileError::new(path, "create", error))
+    let error = |error| FileError::new(path, "create", error);
+    let mut target = path.to_owned();
+    if fs::metadata(path).is_ok_and(|metadata| metadata.is_file()) {
+        // Of a link, the file that it points to is replaced.
+        target = fs::canonicalize(path).map_err(error)?;
+        // A file that may not be written may not be replaced either, even where its directory would allow it.
+        File::options().write(true).open(&target).map_err(error)?;
+        fs::remove_file(&target).map_err(error)?;
+    }
+    File::create(target).map_err(error)
 }
 
 #[cfg(test)]
@@ -182,6 +192,20 @@ mod tests {
         output.commit().unwrap();
         assert_eq!(fs::read(&file).unwrap(), b"new");
         assert!(link.is_symlink());
+    }
+
+    #[test]
+    fn a_file_that_is_replaced_at_once_stays_whole_for_whoever_maps_it() {
+        let directory = tempfile::tempdir().unwrap();
+        let (path, link) = (directory.path().join("casts.rays"), directory.path().join("link"));
+        fs::write(&path, "old").unwrap();
+        std::os::unix::fs::symlink(&path, &link).unwrap();
+        let old = MappedFile::open(&path).unwrap();
+        create(&link).unwrap().write_all(b"newer").unwrap();
+        assert_eq!(&old[..], b"old");
+        assert_eq!(fs::read(&path).unwrap(), b"newer");
+        assert!(link.is_symlink());
+        assert!(create(Path::new("/dev/null")).is_ok());
     }
 
     #[test]

@@ -184,12 +184,63 @@ fn errors_are_one_line() {
         bad(here, &with("room.obj", &[option, value]), &[]);
     }
     assert!(!here.join("a.rays").exists() && !here.join("a.bvh").exists());
-    bad(here, &["room.obj"], &["nothing to do", "--savetrace"]);
     bad(here, &["room.obj", "--output", "a.jpg"], &["a.jpg", ".png"]);
     bad(here, &["room.obj", "--output", "no/such/a.png"], &["a.png", "cannot create"]);
     bad(here, &["room.obj", "--savetrace", "same", "same"], &["same"]);
     bad(here, &["room.obj", "--savetrace", "no/a.rays", "a.bvh"], &["no/a.rays"]);
     bad(here, &["room.obj", "--savetrace", "a.rays", "no/a.bvh"], &["no/a.bvh"]);
+}
+
+/// Without anything to write it renders all the same, for whoever wants to know how long that takes.
+#[test]
+fn without_savetrace_it_only_renders() {
+    let directory = TempDir::new().unwrap();
+    room(directory.path());
+    let before = fs::read_dir(directory.path()).unwrap().count();
+    let summary = good(directory.path(), &["room.obj", "--size", "16x16", "--spp", "1"]);
+    assert!(summary.contains("queries/s") && !summary.contains("rays "), "{summary}");
+    assert_eq!(fs::read_dir(directory.path()).unwrap().count(), before);
+}
+
+/// Killed at any moment, a recording keeps every whole chunk, and each query in it replays as it was recorded.
+#[test]
+fn a_killed_recording_can_be_replayed_up_to_its_last_chunk() {
+    let directory = TempDir::new().unwrap();
+    let here = directory.path();
+    room(here);
+    for least_bytes in [1, 3_000_000, 20_000_000] {
+        let mut recording = Command::new(env!("CARGO_BIN_EXE_embree-trace"))
+            .args(["room.obj", "--size", "1024x1024", "--spp", "64", "--savetrace", "a.rays", "a.bvh"])
+            .args(CAMERA)
+            .current_dir(here)
+            .stdout(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        let written = || fs::metadata(here.join("a.rays")).map_or(0, |metadata| metadata.len());
+        while written() < least_bytes {
+            assert!(recording.try_wait().unwrap().is_none(), "it ended before it could be killed");
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        // SIGKILL: no handler, no destructor.
+        recording.kill().unwrap();
+        recording.wait().unwrap();
+        let (mapped, tree) =
+            (MappedFile::open(&here.join("a.rays")).unwrap(), MappedFile::open(&here.join("a.bvh")).unwrap());
+        let rays = Rays::parse(&mapped).unwrap();
+        let recovery = rays.recovery.expect("no end mark was written");
+        assert!(recovery.lost_bytes <= 64 + 65_536 * 64, "{recovery:?}");
+        assert!(Bvh::parse(&tree).is_ok());
+        let replayed = Command::new(env!("CARGO_BIN_EXE_bvh-compare"))
+            .args(["a.bvh", "a.rays", "--sample", "20000", "--format", "json"])
+            .current_dir(here)
+            .output()
+            .unwrap();
+        let expected = if rays.query_count() == 0 { 2 } else { 0 };
+        let stderr = String::from_utf8_lossy(&replayed.stderr);
+        assert_eq!(replayed.status.code(), Some(expected), "{stderr}");
+        assert!(stderr.contains("cut off"), "{stderr}");
+        fs::remove_file(here.join("a.rays")).unwrap();
+    }
 }
 
 /// A full disk ends the recording at once, says what was kept, and spares the device.

@@ -31,8 +31,9 @@ Examples:
     embree-trace room.obj --camera 1,1.6,4/0,1,0 --fov 50 --savetrace a.rays a.bvh --output a.png
   The same bytes on every x86-64 CPU, as golden files need them:
     embree-trace box.obj --isa sse42 --size 64x64 --spp 1 --savetrace box.rays box.bvh
-  Only a picture:
+  Only a picture, or nothing but the time it takes:
     embree-trace bunny.ply --integrator ao --spp 16 --output bunny.png
+    embree-trace bunny.ply --integrator ao --spp 16
 
 Exit codes: 0 good, 2 bad input or usage.";
 
@@ -42,7 +43,7 @@ Exit codes: 0 good, 2 bad input or usage.";
 struct Arguments {
     /// OBJ or PLY file; may be compressed (.zst)
     scene: PathBuf,
-    /// Records the queries to RAYS and the tree to BVH (one dash will do, too)
+    /// Records the queries to RAYS and the tree to BVH (one dash will do, too); without it, only renders
     #[arg(long, num_args = 2, value_names = ["RAYS", "BVH"])]
     savetrace: Option<Vec<PathBuf>>,
     /// Compresses the recorded queries, two to four times
@@ -202,9 +203,6 @@ fn plan(arguments: &Arguments) -> Result<Plan<'_>, Failure> {
         }
         None => None,
     };
-    if trace.is_none() && image.is_none() {
-        return Err(Failure::new("nothing to do: give --savetrace RAYS BVH, or --output IMAGE, or both"));
-    }
     Ok(Plan { job, settings, wishes, trace, image })
 }
 
