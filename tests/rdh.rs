@@ -6,9 +6,9 @@ use embree_trace::experiment::measure::{area_tree, ray_tree};
 use embree_trace::experiment::shape::sphere;
 use embree_trace::geometry::padded::PaddedAabb;
 use embree_trace::geometry::{Aabb, Ray, Vec3};
-use embree_trace::probability::Probability;
 use embree_trace::probability::blend::Blend;
 use embree_trace::probability::rays::{Count, RaySet, Rays};
+use embree_trace::probability::{Cuts, Probability, Scores, Side};
 use embree_trace::random::Random;
 use embree_trace::traverse::PreparedRay;
 use embree_trace::tree::validate::validate;
@@ -24,6 +24,23 @@ fn rays(count: usize, seed: u64) -> Vec<Ray> {
         Ray { origin: point(150.0), tnear: 0.0, direction: point(100.0), tfar }
     };
     (0..count).map(ray).collect()
+}
+
+/// Left and right sides that are the same boxes.
+struct Growing<'a>(&'a [Aabb]);
+
+impl Cuts for Growing<'_> {
+    fn candidates(&self) -> usize {
+        self.0.len()
+    }
+
+    fn left(&self) -> impl Iterator<Item = Side> {
+        self.0.iter().map(|&bounds| Side { primitives: 1, bounds: bounds.into() })
+    }
+
+    fn right(&self) -> impl Iterator<Item = Side> {
+        self.left()
+    }
 }
 
 #[test]
@@ -43,13 +60,16 @@ fn states_and_candidates_count_what_overlaps() {
         let boxes: Vec<Aabb> = (1..=20)
             .map(|i| Aabb { lower: scene.lower, upper: Vec3::new(10.0 * i as f32 - 100.0, 100.0, 100.0) })
             .collect();
-        let mut out = vec![0.0; boxes.len()];
-        probability.nested(&root, boxes.iter().map(|&bounds| PaddedAabb::from(bounds)), &mut out);
-        for (bounds, counted) in boxes.iter().zip(out) {
-            assert_eq!(counted, truth(bounds));
-        }
+        // Right sides, from the last candidate to the first, are the same boxes.
+        let [mut left, mut right] = [0; 2].map(|_| vec![0.0; boxes.len()]);
+        let mut scores = [Scores { left: &mut left, right: &mut right }];
+        probability.score(&root, 0, &[Growing(&boxes)], &mut scores);
+        right.reverse();
+        assert_eq!(left, boxes.iter().map(truth).collect::<Vec<f32>>());
+        assert_eq!(left, right);
         let (left, right) = (boxes[4], Aabb { lower: Vec3::ZERO, upper: scene.upper });
-        let (left_state, right_state) = probability.split(root, &left.into(), &right.into());
+        let children = [&left, &right].map(|&bounds| PaddedAabb::from(bounds));
+        let [left_state, right_state] = probability.split(root, children.each_ref().map(Some));
         assert_eq!(left_state.count() as f32, truth(&left));
         assert_eq!(right_state.count() as f32, truth(&right));
     }

@@ -7,11 +7,11 @@
 //! as minima, maxima and counts are exact and the order is kept, the result is the same.
 
 use super::cost::Weight;
-use super::recursion::{NodeReferences, Side, Split};
+use super::recursion::{NodeReferences, Split};
 use super::reference::Reference;
 use super::{Bins, MAX_BINS};
 use crate::geometry::padded::PaddedAabb;
-use crate::probability::Probability;
+use crate::probability::{Cuts, Probability, Scores, Side};
 use glam::{BVec4A, Vec4};
 use rayon::prelude::*;
 
@@ -124,37 +124,24 @@ impl<const N: usize> Histogram<N> {
         state: &P::State,
         weight: &W,
     ) -> Option<Split<Plane>> {
+        let cuts = [0, 1, 2].map(|axis| {
+            // An axis without extent has no candidates.
+            let bins = if grid.scale[axis] == 0.0 { 1 } else { bins };
+            Planes { bounds: &self.bounds[axis][..bins], counts: &self.counts[axis][..bins] }
+        });
+        let mut probabilities = [[[0.0; N]; 2]; 3];
+        let mut scores = probabilities.each_mut().map(|[left, right]| Scores { left, right });
+        for (cuts, scores) in cuts.iter().zip(&mut scores) {
+            let Scores { left, right } = std::mem::replace(scores, Scores { left: &mut [], right: &mut [] });
+            *scores = Scores { left: &mut left[..cuts.candidates()], right: &mut right[..cuts.candidates()] };
+        }
+        probability.score(state, weight.free(), &cuts, &mut scores);
         let mut least = f32::INFINITY;
         let mut best = None;
-        // Candidate i puts bins 0..=i left and i + 1.. right.
-        let candidates = bins - 1;
-        let mut left_probability = [0.0; N];
-        let mut right_probability = [0.0; N];
-        for axis in 0..3 {
-            if grid.scale[axis] == 0.0 {
-                continue;
-            }
-            let bounds = &self.bounds[axis][..bins];
-            let grow = |sum: &mut PaddedAabb, bin: &PaddedAabb| {
-                *sum = sum.union(bin);
-                Some(*sum)
-            };
-            probability.nested(
-                state,
-                bounds[..candidates].iter().scan(PaddedAabb::EMPTY, grow),
-                &mut left_probability[..candidates],
-            );
-            // From the right: entry j is for bins from bins - 1 - j.
-            probability.nested(
-                state,
-                bounds[1..].iter().rev().scan(PaddedAabb::EMPTY, grow),
-                &mut right_probability[..candidates],
-            );
+        for (axis, scores) in scores.iter().enumerate() {
             let mut left_count = 0;
-            for candidate in 0..candidates {
+            for (candidate, (left, right)) in scores.left.iter().zip(&*scores.right).enumerate() {
                 left_count += self.counts[axis][candidate] as usize;
-                let left = left_probability[candidate];
-                let right = right_probability[candidates - 1 - candidate];
                 let right_count = total - left_count;
                 if left_count == 0 || right_count == 0 {
                     continue;
@@ -177,6 +164,39 @@ impl<const N: usize> Histogram<N> {
             },
         })
     }
+}
+
+/// The candidates of one axis: candidate i puts bins 0..=i left and i + 1.. right.
+struct Planes<'a> {
+    bounds: &'a [PaddedAabb],
+    counts: &'a [u32],
+}
+
+impl Cuts for Planes<'_> {
+    #[inline(always)]
+    fn candidates(&self) -> usize {
+        self.bounds.len() - 1
+    }
+
+    #[inline(always)]
+    fn left(&self) -> impl Iterator<Item = Side> {
+        let candidates = self.candidates();
+        self.bounds[..candidates].iter().zip(&self.counts[..candidates]).scan(EMPTY, grow)
+    }
+
+    #[inline(always)]
+    fn right(&self) -> impl Iterator<Item = Side> {
+        self.bounds[1..].iter().zip(&self.counts[1..]).rev().scan(EMPTY, grow)
+    }
+}
+
+const EMPTY: Side = Side { primitives: 0, bounds: PaddedAabb::EMPTY };
+
+/// Adds a bin to a side.
+#[inline(always)]
+fn grow(side: &mut Side, (bounds, &count): (&PaddedAabb, &u32)) -> Option<Side> {
+    *side = Side { primitives: side.primitives + count as usize, bounds: side.bounds.union(bounds) };
+    Some(*side)
 }
 
 /// Bounds of the centroids of references.

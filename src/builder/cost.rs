@@ -5,6 +5,9 @@ use super::{Config, Count};
 /// The factor of a side that holds a number of primitives.
 pub trait Weight: Sync {
     fn of(&self, primitives: usize) -> f32;
+
+    /// A side of up to so many primitives, and at least one, costs nothing, whatever its probability.
+    fn free(&self) -> usize;
 }
 
 /// α = 1: the number itself, or less one.
@@ -25,6 +28,11 @@ impl Weight for Linear {
         // Signed: that conversion is one instruction. The sum of two sides' weights is what counts, so an empty
         // side's -1 never matters: empty sides are no candidates.
         (primitives as i32).wrapping_sub(self.less as i32) as f32
+    }
+
+    #[inline(always)]
+    fn free(&self) -> usize {
+        self.less
     }
 }
 
@@ -48,6 +56,11 @@ impl Weight for Power {
     fn of(&self, primitives: usize) -> f32 {
         self.table[primitives]
     }
+
+    fn free(&self) -> usize {
+        // 0 to the power of 0 is 1.
+        (self.table.get(1) == Some(&0.0)) as usize
+    }
 }
 
 #[cfg(test)]
@@ -61,12 +74,15 @@ mod tests {
             (1.0, Count::All, [1.0, 2.0, 10.0]),
             (0.5, Count::MinusOne, [0.0, 1.0, 3.0]),
             (2.0, Count::All, [1.0, 4.0, 100.0]),
+            (0.0, Count::MinusOne, [1.0, 1.0, 1.0]),
         ] {
             let config = Config { alpha, count, ..Config::default() };
             let power = Power::new(&config, 10);
             assert_eq!([1, 2, 10].map(|n| power.of(n)), expected);
+            assert_eq!(power.free(), (expected[0] == 0.0) as usize);
             if alpha == 1.0 {
                 assert_eq!([1, 2, 10].map(|n| Linear::new(count).of(n)), expected);
+                assert_eq!(Linear::new(count).free(), power.free());
             }
         }
     }

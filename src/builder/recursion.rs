@@ -18,19 +18,12 @@ use super::reference::{Reference, References};
 use super::sweep::SweepReferences;
 use super::{Config, MAX_DEPTH, Splits};
 use crate::geometry::padded::PaddedAabb;
-use crate::probability::Probability;
+use crate::probability::{Probability, Side};
 use crate::progress::Progress;
 use crate::tree::{Node, Tree};
 
 /// Subtrees with fewer primitives are built by one thread.
 const SEQUENTIAL: usize = 1 << 12;
-
-/// One side of a split.
-#[derive(Clone, Copy, Debug)]
-pub struct Side {
-    pub primitives: usize,
-    pub bounds: PaddedAabb,
-}
 
 /// A way to divide the references of a node.
 #[derive(Clone, Copy, Debug)]
@@ -155,8 +148,10 @@ impl<P: Probability, W: Weight> Builder<'_, P, W> {
         let split = job.references.best_split(self.probability, &job.state, &self.weight);
         let split = split.filter(|split| fits(split, job.level)).unwrap_or_else(|| job.references.halves());
         let (left_references, right_references) = job.references.divide(&split);
-        let (left_state, right_state) =
-            self.probability.split(job.state, &split.left.bounds, &split.right.bounds);
+        let [left_state, right_state] = self.probability.split(
+            job.state,
+            [&split.left, &split.right].map(|side| self.decides(side.primitives).then_some(&side.bounds)),
+        );
         let (pair, below) = job.nodes.split_at_mut(2);
         let left_below = 2 * split.left.primitives - 2;
         let (left_nodes, right_nodes) = below.split_at_mut(left_below);
@@ -192,6 +187,11 @@ impl<P: Probability, W: Weight> Builder<'_, P, W> {
         }
         (pair[0], pair[1]) = (left.node, right.node);
         Subtree { node: Node::inner(job.bounds.into(), job.first_node as u32, 2), cost }
+    }
+
+    /// Whether P decides anything about a child: how it is divided, or whether it becomes a leaf.
+    fn decides(&self, primitives: usize) -> bool {
+        primitives > 2 || self.config.max_leaf > 1
     }
 
     /// Builds a subtree, and tells the progress when it is one that a single thread builds.

@@ -6,10 +6,10 @@
 //! costs O(n), the build O(n · depth). Equal centroids are ordered by triangle, so that a sweep can divide them too.
 
 use super::cost::Weight;
-use super::recursion::{NodeReferences, Side, Split};
+use super::recursion::{NodeReferences, Split};
 use super::reference::Reference;
 use crate::geometry::padded::PaddedAabb;
-use crate::probability::Probability;
+use crate::probability::{Cuts, Probability, Scores, Side};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -89,6 +89,35 @@ fn ordered_bits(value: f32) -> u32 {
     if bits >> 31 == 1 { !bits } else { bits | 1 << 31 }
 }
 
+/// The candidates of one axis: candidate i leaves i + 1 references left.
+struct Places<'a>(&'a [Reference]);
+
+impl Cuts for Places<'_> {
+    #[inline(always)]
+    fn candidates(&self) -> usize {
+        self.0.len() - 1
+    }
+
+    #[inline(always)]
+    fn left(&self) -> impl Iterator<Item = Side> {
+        self.0[..self.candidates()].iter().scan(EMPTY, grow)
+    }
+
+    #[inline(always)]
+    fn right(&self) -> impl Iterator<Item = Side> {
+        self.0[1..].iter().rev().scan(EMPTY, grow)
+    }
+}
+
+const EMPTY: Side = Side { primitives: 0, bounds: PaddedAabb::EMPTY };
+
+/// Adds a reference to a side.
+#[inline(always)]
+fn grow(side: &mut Side, reference: &Reference) -> Option<Side> {
+    *side = Side { primitives: side.primitives + 1, bounds: side.bounds.union(&reference.bounds()) };
+    Some(*side)
+}
+
 /// Candidate of one axis.
 #[derive(Clone, Copy)]
 struct Candidate {
@@ -96,37 +125,28 @@ struct Candidate {
     left_count: usize,
 }
 
+/// The cheapest candidate of one axis; of equals the first.
+fn best<W: Weight>(scores: &Scores, weight: &W) -> Option<Candidate> {
+    let count = scores.left.len() + 1;
+    let mut best: Option<Candidate> = None;
+    let mut least = f32::INFINITY;
+    for (index, (&left, &right)) in scores.left.iter().zip(&*scores.right).enumerate() {
+        let cost = weight.of(index + 1) * left + weight.of(count - index - 1) * right;
+        if cost < least {
+            least = cost;
+            best = Some(Candidate { cost, left_count: index + 1 });
+        }
+    }
+    best
+}
+
 impl Range<'_> {
-    /// The cheapest cut of this order; of equals the first.
-    fn best<P: Probability, W: Weight>(
-        &mut self,
-        probability: &P,
-        state: &P::State,
-        weight: &W,
-    ) -> Option<Candidate> {
-        let count = self.sorted.len();
-        let candidates = count - 1;
-        // Candidate i leaves i + 1 references left; 8 numbers fit in the memory of each reference.
+    /// The candidates, and memory for what they score: 8 numbers fit in that of each reference.
+    fn candidates(&mut self) -> (Places<'_>, Scores<'_>) {
+        let candidates = self.sorted.len() - 1;
         let numbers: &mut [f32] = bytemuck::cast_slice_mut(self.spare);
         let (left, right) = numbers[..2 * candidates].split_at_mut(candidates);
-        let grow = |sum: &mut PaddedAabb, reference: &Reference| {
-            *sum = sum.union(&reference.bounds());
-            Some(*sum)
-        };
-        let prefixes = self.sorted[..candidates].iter().scan(PaddedAabb::EMPTY, grow);
-        probability.nested(state, prefixes, left);
-        let suffixes = self.sorted[1..].iter().rev().scan(PaddedAabb::EMPTY, grow);
-        probability.nested(state, suffixes, right);
-        let mut best: Option<Candidate> = None;
-        let mut least = f32::INFINITY;
-        for (index, (&left, &right)) in left.iter().zip(right.iter().rev()).enumerate() {
-            let cost = weight.of(index + 1) * left + weight.of(count - index - 1) * right;
-            if cost < least {
-                least = cost;
-                best = Some(Candidate { cost, left_count: index + 1 });
-            }
-        }
-        best
+        (Places(self.sorted), Scores { left, right })
     }
 
     fn bounds(&self, range: std::ops::Range<usize>) -> PaddedAabb {
@@ -170,8 +190,25 @@ impl NodeReferences for SweepReferences<'_> {
         weight: &W,
     ) -> Option<Split<Plane>> {
         let count = self.len();
-        let candidates =
-            on_axes(count > PARALLEL, self.axes.each_mut(), |range| range.best(probability, state, weight));
+        if count == 2 {
+            // Nothing to choose, and a third of all inner nodes.
+            let side = |index: usize| Side { primitives: 1, bounds: self.axes[0].sorted[index].bounds() };
+            return Some(Split { plane: Plane { axis: 0 }, left: side(0), right: side(1) });
+        }
+        let free = weight.free();
+        let candidates = if count > PARALLEL {
+            on_axes(true, self.axes.each_mut(), |range| {
+                let (places, scores) = range.candidates();
+                let mut scores = [scores];
+                probability.score(state, free, &[places], &mut scores);
+                best(&scores[0], weight)
+            })
+        } else {
+            let [x, y, z] = self.axes.each_mut().map(Range::candidates);
+            let (places, mut scores) = ([x.0, y.0, z.0], [x.1, y.1, z.1]);
+            probability.score(state, free, &places, &mut scores);
+            scores.map(|scores| best(&scores, weight))
+        };
         let mut best: Option<(usize, Candidate)> = None;
         for (axis, candidate) in candidates.into_iter().enumerate() {
             if let Some(candidate) = candidate

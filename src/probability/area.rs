@@ -1,7 +1,7 @@
 //! P_U: uniformly distributed rays hit a convex box in proportion to its surface area (Goldsmith and Salmon 1987;
 //! MacDonald and Booth 1990). With it, a builder is a SAH builder.
 
-use super::Probability;
+use super::{Cuts, Probability, Scores};
 use crate::geometry::padded::PaddedAabb;
 
 /// Half the surface area of a box, in units chosen so that no scene's areas overflow or vanish in `f32`.
@@ -46,15 +46,20 @@ impl Probability for Area {
     }
 
     #[inline(always)]
-    fn nested(&self, _state: &(), boxes: impl Iterator<Item = PaddedAabb>, out: &mut [f32]) {
-        for (area, bounds) in out.iter_mut().zip(boxes) {
-            *area = self.of(&bounds);
+    fn score<C: Cuts>(&self, _state: &(), _free: usize, cuts: &[C], scores: &mut [Scores]) {
+        for (cuts, scores) in cuts.iter().zip(scores) {
+            for (area, side) in scores.left.iter_mut().zip(cuts.left()) {
+                *area = self.of(&side.bounds);
+            }
+            for (area, side) in scores.right.iter_mut().rev().zip(cuts.right()) {
+                *area = self.of(&side.bounds);
+            }
         }
     }
 
     #[inline(always)]
-    fn split(&self, _state: (), _left: &PaddedAabb, _right: &PaddedAabb) -> ((), ()) {
-        ((), ())
+    fn split(&self, _state: (), _children: [Option<&PaddedAabb>; 2]) -> [(); 2] {
+        [(); 2]
     }
 }
 

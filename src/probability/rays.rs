@@ -10,8 +10,8 @@
 pub mod nested;
 mod segment;
 
-use super::Probability;
 use super::area::Area;
+use super::{Cuts, Probability, Scores, Side};
 use crate::format::rays::Record;
 use crate::geometry::Ray;
 use crate::geometry::padded::PaddedAabb;
@@ -157,53 +157,73 @@ impl<M: Measure> Probability for Rays<'_, M> {
         self.value(state, state.rays.len(), bounds)
     }
 
-    fn nested(&self, state: &NodeRays, boxes: impl Iterator<Item = PaddedAabb>, out: &mut [f32]) {
+    fn score<C: Cuts>(&self, state: &NodeRays, free: usize, cuts: &[C], scores: &mut [Scores]) {
+        for (cuts, scores) in cuts.iter().zip(scores) {
+            self.nested(state, free, cuts.left(), scores.left.len(), scores.left.iter_mut());
+            self.nested(state, free, cuts.right(), scores.right.len(), scores.right.iter_mut().rev());
+        }
+    }
+
+    fn split(&self, state: NodeRays, children: [Option<&PaddedAabb>; 2]) -> [NodeRays; 2] {
+        let segments = &self.set.segments;
+        let rays = &state.rays;
+        let side = |bounds: Option<&PaddedAabb>| {
+            let bounds = bounds.unwrap_or(&PaddedAabb::EMPTY);
+            let on = |ray: u32| segments[ray as usize].overlaps(bounds);
+            let kept = if rays.is_empty() {
+                Vec::new()
+            } else if rays.len() <= PARALLEL {
+                thinned(rays, on)
+            } else {
+                let parts: Vec<Vec<u32>> = rays.par_chunks(BLOCK).map(|block| thinned(block, on)).collect();
+                parts.concat()
+            };
+            self.state(kept, bounds)
+        };
+        if rays.len() <= PARALLEL {
+            children.map(side)
+        } else {
+            let (left, right) = rayon::join(|| side(children[0]), || side(children[1]));
+            [left, right]
+        }
+    }
+}
+
+impl<M: Measure> Rays<'_, M> {
+    /// Writes P of `count` nested sides.
+    fn nested<'o>(
+        &self,
+        state: &NodeRays,
+        free: usize,
+        sides: impl Iterator<Item = Side>,
+        count: usize,
+        out: impl Iterator<Item = &'o mut f32>,
+    ) {
         let Terms { per_ray, constant, per_area } = state.terms;
         let fixed = |bounds: &PaddedAabb| constant + per_area * self.area.of(bounds);
         if state.rays.is_empty() || per_ray == 0.0 {
-            for (out, bounds) in out.iter_mut().zip(boxes) {
-                *out = fixed(&bounds);
+            for (out, side) in out.zip(sides) {
+                *out = fixed(&side.bounds);
             }
             return;
         }
         with_candidates(|candidates: &mut Candidates| {
-            candidates.start(out.len());
-            for (out, bounds) in out.iter_mut().zip(boxes) {
-                *out = fixed(&bounds);
-                candidates.push(&bounds);
+            candidates.start(count);
+            let mut written = Vec::with_capacity(count);
+            for (out, side) in out.zip(sides) {
+                *out = fixed(&side.bounds);
+                candidates.push(if side.primitives <= free { &PaddedAabb::EMPTY } else { &side.bounds });
+                written.push(out);
             }
             candidates.finish();
             let counts = candidates.first_overlaps(&self.set.segments, &state.rays);
             // What overlaps a box overlaps all larger ones.
             let mut sum = 0;
-            for (out, &first) in out.iter_mut().zip(counts) {
+            for (out, &first) in written.into_iter().zip(counts) {
                 sum += first;
                 *out += per_ray * sum as f32;
             }
         });
-    }
-
-    fn split(&self, state: NodeRays, left: &PaddedAabb, right: &PaddedAabb) -> (NodeRays, NodeRays) {
-        let segments = &self.set.segments;
-        let on = |ray: u32, bounds: &PaddedAabb| segments[ray as usize].overlaps(bounds);
-        let rays = state.rays;
-        let (left_rays, right_rays) = if rays.is_empty() {
-            (Vec::new(), Vec::new())
-        } else if rays.len() <= PARALLEL {
-            // The parent's memory becomes the left child's.
-            let right_rays = thinned(&rays, |ray| on(ray, right));
-            let mut rays = rays;
-            rays.retain(|&ray| on(ray, left));
-            (rays, right_rays)
-        } else {
-            let side = |bounds: &PaddedAabb| {
-                let parts: Vec<Vec<u32>> =
-                    rays.par_chunks(BLOCK).map(|block| thinned(block, |ray| on(ray, bounds))).collect();
-                parts.concat()
-            };
-            rayon::join(|| side(left), || side(right))
-        };
-        (self.state(left_rays, left), self.state(right_rays, right))
     }
 }
 
