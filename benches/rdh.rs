@@ -1,8 +1,11 @@
 //! What rays cost a build: binned and sweep, from recorded rays, beside our own SAH builds on the same threads:
 //! `cargo bench --bench rdh -- SCENE.bvh…` (each with a .rays of the same name).
 //!
-//! Published for SRDH: 2.4 × the time of SAH (Feltman, Lee, Fatahalian 2012). Every round runs each contender once, because a shared
-//! machine drifts; the table shows medians over rounds and their ratio.
+//! Published for SRDH: 2.4 × the time of SAH (Feltman, Lee, Fatahalian 2012). Every round runs each contender once, because a
+//! shared machine drifts; the table shows medians over ROUNDS rounds (an environment variable), by processor time of all
+//! threads and by the wall clock.
+
+mod stopwatch;
 
 use embree_trace::builder::{Config, Splits};
 use embree_trace::experiment::measure::{area_tree, ray_tree};
@@ -14,8 +17,9 @@ use embree_trace::probability::rays::{Count, RaySet};
 use rayon::ThreadPoolBuilder;
 use std::hint::black_box;
 use std::path::Path;
-use std::time::Instant;
+use stopwatch::{Stopwatch, median};
 
+/// Rounds, unless the environment variable ROUNDS says another number.
 const ROUNDS: usize = 7;
 const QUERIES: [usize; 2] = [32_768, 1 << 20];
 
@@ -40,34 +44,41 @@ fn compare(path: &Path) -> Result<(), Box<dyn std::error::Error>> {
         let step = trace.queries.len().div_ceil(most).max(1);
         RaySet::of_records(trace.queries.iter().step_by(step).map(|query| &query.record))
     });
-    println!("{:<8}{:>8}{:>10}{:>10}{:>10}{:>8}", "", "threads", "queries", "SAH s", "RDH s", "ratio");
+    println!(
+        "{:<8}{:>8}{:>10}{:>12}{:>12}{:>8}{:>12}{:>12}{:>8}",
+        "", "threads", "queries", "SAH cpu s", "RDH cpu s", "ratio", "SAH wall s", "RDH wall s", "ratio"
+    );
+    let rounds = std::env::var("ROUNDS").ok().and_then(|text| text.parse().ok()).unwrap_or(ROUNDS).max(1);
     for (name, splits) in [("binned", Config::default().splits), ("sweep", Splits::Sweep)] {
         let config = Config { splits, ..Config::default() };
         for threads in [1, 2] {
             let pool = ThreadPoolBuilder::new().num_threads(threads).build()?;
-            let mut seconds = [const { Vec::new() }; 3];
-            for _ in 0..ROUNDS {
-                seconds[0].push(timed(|| pool.install(|| area_tree(&trace.triangles, &config)))?);
-                for (set, seconds) in sets.iter().zip(&mut seconds[1..]) {
-                    let build = || ray_tree(&trace.triangles, set, Count::default(), &config);
-                    seconds.push(timed(|| pool.install(build))?);
+            // SAH, then one column for each set; processor and wall seconds.
+            let mut seconds = vec![[Vec::new(), Vec::new()]; 1 + sets.len()];
+            for _ in 0..rounds {
+                for (column, seconds) in seconds.iter_mut().enumerate() {
+                    let stopwatch = Stopwatch::start();
+                    black_box(pool.install(|| match column {
+                        0 => area_tree(&trace.triangles, &config),
+                        _ => ray_tree(&trace.triangles, &sets[column - 1], Count::default(), &config),
+                    })?);
+                    let took = stopwatch.stop();
+                    seconds[0].push(took.processor);
+                    seconds[1].push(took.wall);
                 }
             }
-            let [sah, with_rays @ ..] = seconds.map(|mut seconds| {
-                seconds.sort_by(f64::total_cmp);
-                seconds[ROUNDS / 2]
-            });
-            for (set, rdh) in sets.iter().zip(with_rays) {
-                let ratio = rdh / sah;
-                println!("{name:<8}{threads:>8}{:>10}{sah:>10.3}{rdh:>10.3}{ratio:>8.2}", set.len());
+            let seconds: Vec<[f64; 2]> =
+                seconds.into_iter().map(|seconds| seconds.map(|mut s| median(&mut s))).collect();
+            for (set, [cpu, wall]) in sets.iter().zip(&seconds[1..]) {
+                let [sah_cpu, sah_wall] = seconds[0];
+                println!(
+                    "{name:<8}{threads:>8}{:>10}{sah_cpu:>12.3}{cpu:>12.3}{:>8.2}{sah_wall:>12.3}{wall:>12.3}{:>8.2}",
+                    set.len(),
+                    cpu / sah_cpu,
+                    wall / sah_wall
+                );
             }
         }
     }
     Ok(())
-}
-
-fn timed<T, E>(build: impl FnOnce() -> Result<T, E>) -> Result<f64, E> {
-    let start = Instant::now();
-    black_box(build()?);
-    Ok(start.elapsed().as_secs_f64())
 }
