@@ -1,49 +1,41 @@
 //! Trees over the same recorded queries: what each costs, whether each answers right, and how they relate to the first.
 //!
-//! One tree at a time is prepared and replayed, so memory holds one prepared tree, whatever the number of trees.
+//! One tree at a time is prepared and replayed, over one recording after the other, so memory holds one prepared tree,
+//! whatever the number of trees.
+
+pub mod explained;
+pub mod fit;
+pub mod timing;
+mod verdict;
 
 use crate::format::FormatError;
 use crate::format::bvh::{Bvh, flag};
-use crate::format::rays::{NO_DEPTH, NO_PATH, Purpose, Rays, Record};
+use crate::format::rays::{NO_DEPTH, Rays};
 use crate::progress::Progress;
-use crate::replay::check::{Judge, T_TOLERANCE};
+use crate::replay::check::Judge;
 use crate::replay::pixels::ImageSize;
-use crate::replay::select::{Filter, Portion};
-use crate::replay::tally::Tally;
-use crate::replay::{self, Mismatch, Outcome};
-use crate::traverse::{Masks, OcclusionOrder, OrderError, OrderName, Overlap, Prepared, Traversal};
+use crate::replay::profile::Levels;
+use crate::replay::query::Choice;
+use crate::replay::tally::{Costs, Tally};
+use crate::replay::{self, Outcome};
+use crate::traverse::{Masks, OcclusionOrder, OrderError, OrderName, Prepared, Traversal};
+use crate::tree::epo::end_point_overlap;
 use crate::tree::statistics::{Statistics, sah_cost};
-use std::fmt::Write;
 use thiserror::Error;
-
-/// Weights of Γ_R and of the SAH cost.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Costs {
-    /// Of a box test.
-    pub c_i: f64,
-    /// Of a primitive test.
-    pub c_p: f64,
-}
-
-impl Costs {
-    /// Γ as measured: `c_i` · box tests + `c_p` · primitive tests.
-    pub fn gamma(&self, tally: &Tally) -> f64 {
-        self.c_i * tally.counts.box_tests as f64 + self.c_p * tally.counts.primitive_tests as f64
-    }
-
-    /// Γ_R of a tree: what strictly front-to-back traversal of every effective segment costs,
-    /// `c_i` · (queries + Σ P_R(b) · children of b) + `c_p` · Σ P_R(l) · primitives of l.
-    ///
-    /// The paper's section 2.3 with the root's box test added, and for any number of children and primitives.
-    pub fn expected(&self, queries: u64, overlap: &Overlap) -> f64 {
-        self.c_i * (queries + overlap.children) as f64 + self.c_p * overlap.primitives as f64
-    }
-}
+use timing::Timing;
 
 /// A tree to compare, and what to call it.
 pub struct Candidate<'a> {
     pub path: String,
     pub bvh: &'a Bvh<'a>,
+}
+
+/// A recording to replay, and what to call it.
+pub struct Recording<'a> {
+    pub path: String,
+    pub rays: &'a Rays<'a>,
+    /// Size of the traced image, where it is known.
+    pub image: Option<ImageSize>,
 }
 
 /// How to compare.
@@ -54,15 +46,35 @@ pub struct Settings {
     /// Of depth-first occlusion queries; `None` is what each tree has recorded, else nearest first.
     pub occlusion_order: Option<OrderName>,
     pub costs: Costs,
-    pub scene: u16,
-    pub filter: Filter,
-    /// Only queries that a builder with this portion has not seen.
-    pub held_out: Option<Portion>,
-    pub sample: Option<u64>,
-    /// Size of the traced image, where it is known.
-    pub image: Option<ImageSize>,
-    /// Whether to sum costs per pixel; needs the size.
+    /// Of each recording.
+    pub choice: Choice,
+    /// Whether to sum costs per pixel, of recordings whose image's size is known.
     pub pixels: bool,
+    /// Whether to count tests by level of the tree, and cache lines: every query is followed once more.
+    pub profile: bool,
+    /// Rounds of timing, after all that; `None` when times are not wanted.
+    pub rounds: Option<u32>,
+    /// Whether to fit costs to the times.
+    pub fit: bool,
+}
+
+/// A tree without any ray.
+#[derive(Debug)]
+pub struct TreeFacts {
+    pub path: String,
+    pub producer: String,
+    /// `META`: how it was built.
+    pub meta: Option<String>,
+    pub fingerprint: u64,
+    pub triangles: usize,
+    pub statistics: Statistics,
+    /// Whether every inner node has two children, so that it is traversed as such.
+    pub binary: bool,
+    pub sah_cost: f64,
+    /// See [`crate::tree::epo`].
+    pub epo: f64,
+    /// In which its occlusion queries are followed, depth first.
+    pub occlusion_order: OrderName,
 }
 
 /// One traversal of one tree.
@@ -72,15 +84,9 @@ pub struct Run {
     pub outcome: Outcome,
 }
 
-/// What was found of one tree.
+/// One tree over one recording.
 #[derive(Debug)]
 pub struct TreeResult {
-    pub path: String,
-    pub producer: String,
-    pub statistics: Statistics,
-    pub sah_cost: f64,
-    /// In which its occlusion queries were followed, depth first.
-    pub occlusion_order: OrderName,
     pub runs: Vec<Run>,
     /// Which of the runs also counted P_R.
     overlap_run: usize,
@@ -102,13 +108,52 @@ impl TreeResult {
         let total = &self.overlap().tallies.total;
         costs.expected(total.queries, &total.overlap)
     }
+
+    /// See [`Tally::leaf_count_variability`].
+    pub fn leaf_count_variability(&self) -> f64 {
+        self.overlap().tallies.total.leaf_count_variability()
+    }
 }
 
-/// All trees, in the order given.
+/// All trees over one recording.
+#[derive(Debug)]
+pub struct RecordingResult {
+    pub path: String,
+    pub producer: String,
+    /// 0 when the recording does not say.
+    pub fingerprint: u64,
+    /// 31305 for 3.13.5; 0 when not recorded from Embree.
+    pub embree_version: u32,
+    /// In the file, before any filter.
+    pub queries: u64,
+    pub image: Option<ImageSize>,
+    /// As [`Comparison::trees`].
+    pub trees: Vec<TreeResult>,
+    /// When it was asked for.
+    pub timing: Option<Timing>,
+}
+
+/// Trees and recordings in the order given, at least one of each.
 #[derive(Debug)]
 pub struct Comparison {
     pub settings: Settings,
-    pub trees: Vec<TreeResult>,
+    pub trees: Vec<TreeFacts>,
+    pub recordings: Vec<RecordingResult>,
+}
+
+impl Comparison {
+    /// Γ of a tally relative to the same tally of the first tree; 1 when that costs nothing either.
+    pub fn ratio(&self, tally: &Tally, first: &Tally) -> f64 {
+        let costs = &self.settings.costs;
+        relative(costs.gamma(&tally.counts), costs.gamma(&first.counts))
+    }
+
+    /// Every tree over every recording.
+    pub fn results(&self) -> impl Iterator<Item = (&RecordingResult, &TreeFacts, &TreeResult)> {
+        self.recordings.iter().flat_map(|recording| {
+            self.trees.iter().zip(&recording.trees).map(move |(tree, result)| (recording, tree, result))
+        })
+    }
 }
 
 /// Why trees and rays cannot be compared.
@@ -151,109 +196,120 @@ pub fn check_scenes(
     }))
 }
 
-/// Replays `rays` over every tree in every order. The caller has called [`check_scenes`].
+/// Replays every recording over every tree in every order. The caller has called [`check_scenes`].
 ///
 /// # Errors
-/// When a file is damaged, or no query is left.
+/// When a file is damaged, or no query of a recording is left.
 pub fn compare(
     trees: &[Candidate],
-    rays_path: &str,
-    rays: &Rays,
+    recordings: &[Recording],
     settings: Settings,
     progress: &Progress,
 ) -> Result<Comparison, CompareError> {
     // RayOrder's own answers end the segments that it is held to.
     let overlap_run = settings.traversals.iter().position(|&t| t == Traversal::RayOrder).unwrap_or(0);
-    let mut results = Vec::with_capacity(trees.len());
+    let mut facts = Vec::with_capacity(trees.len());
+    let mut results: Vec<RecordingResult> = recordings.iter().map(RecordingResult::new).collect();
     for Candidate { path, bvh } in trees {
         bvh.verify().map_err(|source| CompareError::File { path: path.clone(), source })?;
         let order = OcclusionOrder::new(settings.occlusion_order, bvh.tree, bvh.order)
             .map_err(|source| CompareError::Order { path: path.clone(), source })?;
         let prepared = Prepared::new(bvh.tree, bvh.triangles, bvh.geometries);
+        facts.push(TreeFacts::of(path, bvh, &prepared, &settings.costs, order.name()));
         let judge = Judge {
             tree: bvh.tree,
             triangles: bvh.triangles,
             masks: Masks::new(bvh.geometries),
             flattened: bvh.header.flags & flag::FLATTENED != 0,
         };
-        let mut runs = Vec::with_capacity(settings.traversals.len());
-        for (index, &traversal) in settings.traversals.iter().enumerate() {
-            let options = replay::Options {
-                traversal,
-                occlusion_order: order.clone(),
-                scene: settings.scene,
-                filter: settings.filter.clone(),
-                held_out: settings.held_out,
-                sample: settings.sample,
-                overlap: index == overlap_run,
-                image: settings.image.filter(|_| settings.pixels),
-            };
-            let outcome = replay::replay(&prepared, &judge, rays, &options, progress)
-                .map_err(|source| CompareError::File { path: rays_path.to_owned(), source })?;
-            if outcome.tallies.total.queries == 0 {
-                let why = if rays.query_count() == 0 {
-                    "; the recording is empty"
-                } else {
-                    "; --filter, --held-out, --sample or --scene leave none"
+        let levels = settings.profile.then(|| Levels::of(bvh.tree));
+        for (recording, result) in recordings.iter().zip(&mut results) {
+            let mut runs = Vec::with_capacity(settings.traversals.len());
+            for (index, &traversal) in settings.traversals.iter().enumerate() {
+                let options = replay::Options {
+                    traversal,
+                    occlusion_order: order.clone(),
+                    choice: settings.choice.clone(),
+                    overlap: index == overlap_run,
+                    costs: settings.costs,
+                    profile: levels.as_ref(),
+                    image: recording.image.filter(|_| settings.pixels),
                 };
-                return Err(CompareError::NoQueries { path: rays_path.to_owned(), why });
+                runs.push(Run {
+                    traversal,
+                    outcome: replay_all(recording, &prepared, &judge, &options, progress)?,
+                });
             }
-            runs.push(Run { traversal, outcome });
+            result.trees.push(TreeResult { runs, overlap_run });
         }
-        results.push(TreeResult {
-            path: path.clone(),
-            producer: bvh.header.producer.clone(),
-            statistics: Statistics::of(bvh.tree),
-            sah_cost: sah_cost(bvh.tree, settings.costs.c_i, settings.costs.c_p),
-            occlusion_order: order.name(),
-            runs,
-            overlap_run,
-        });
     }
-    Ok(Comparison { settings, trees: results })
+    if let Some(rounds) = settings.rounds {
+        let timings = timing::time(trees, recordings, &settings, rounds)?;
+        for (result, timing) in results.iter_mut().zip(timings) {
+            result.timing = Some(timing);
+        }
+    }
+    Ok(Comparison { settings, trees: facts, recordings: results })
 }
 
-impl Comparison {
-    /// Γ of a tally relative to the same tally of the first tree; 1 when that costs nothing either.
-    pub fn ratio(&self, tally: &Tally, first: &Tally) -> f64 {
-        relative(self.settings.costs.gamma(tally), self.settings.costs.gamma(first))
+/// Replays one recording, of which at least one query has to be left.
+fn replay_all(
+    Recording { path, rays, .. }: &Recording,
+    prepared: &Prepared,
+    judge: &Judge,
+    options: &replay::Options,
+    progress: &Progress,
+) -> Result<Outcome, CompareError> {
+    let outcome = replay::replay(prepared, judge, rays, options, progress)
+        .map_err(|source| CompareError::File { path: path.clone(), source })?;
+    if outcome.tallies.total.queries == 0 {
+        let why = if rays.query_count() == 0 {
+            "; the recording is empty"
+        } else {
+            "; --filter, --held-out, --sample or --scene leave none"
+        };
+        return Err(CompareError::NoQueries { path: path.clone(), why });
     }
+    Ok(outcome)
+}
 
-    /// Wrong answers and broken identities, a line each; none when all is well.
-    pub fn failures(&self) -> Vec<String> {
-        let mut lines = Vec::new();
-        for tree in &self.trees {
-            for Run { traversal, outcome } in &tree.runs {
-                let name = traversal.name();
-                if let Some(first) = &outcome.mismatch {
-                    let wrong = outcome.tallies.total.mismatches;
-                    let told = describe(first, self.settings.image);
-                    lines.push(format!("{}: {name}: {wrong} wrong answers, first {told}", tree.path));
-                }
-                if let Some(query) = outcome.violation {
-                    lines.push(format!(
-                        "{}: {name}: box tests of query {query} are not those of T_R; please report this",
-                        tree.path
-                    ));
-                }
-            }
+impl TreeFacts {
+    fn of(
+        path: &str,
+        bvh: &Bvh,
+        prepared: &Prepared,
+        costs: &Costs,
+        occlusion_order: OrderName,
+    ) -> TreeFacts {
+        let Costs { c_i, c_p } = *costs;
+        TreeFacts {
+            path: path.to_owned(),
+            producer: bvh.header.producer.clone(),
+            meta: bvh.meta.map(str::to_owned),
+            fingerprint: bvh.header.fingerprint,
+            triangles: bvh.triangles.len(),
+            statistics: bvh.statistics,
+            binary: prepared.is_binary(),
+            sah_cost: sah_cost(bvh.tree, c_i, c_p),
+            epo: end_point_overlap(bvh.tree, bvh.triangles, c_i, c_p),
+            occlusion_order,
         }
-        lines
     }
+}
 
-    /// Trees whose measured Γ under the first traversal exceeds `limit` times the first tree's, a line each.
-    pub fn above(&self, limit: f64) -> Vec<String> {
-        let Some(first) = self.trees.first() else { return Vec::new() };
-        let base = &first.runs[0];
-        self.trees
-            .iter()
-            .map(|tree| (tree, self.ratio(&tree.runs[0].outcome.tallies.total, &base.outcome.tallies.total)))
-            .filter(|(_, ratio)| *ratio > limit)
-            .map(|(tree, ratio)| {
-                let name = base.traversal.name();
-                format!("{}: cost under {name} is {ratio:.4} of {}'s, above {limit}", tree.path, first.path)
-            })
-            .collect()
+impl RecordingResult {
+    fn new(recording: &Recording) -> RecordingResult {
+        let header = &recording.rays.header;
+        RecordingResult {
+            path: recording.path.clone(),
+            producer: header.producer.clone(),
+            fingerprint: header.fingerprint,
+            embree_version: header.embree_version,
+            queries: recording.rays.query_count(),
+            image: recording.image,
+            trees: Vec::new(),
+            timing: None,
+        }
     }
 }
 
@@ -268,40 +324,6 @@ pub fn image_size(bvh: &Bvh) -> Option<ImageSize> {
 /// `value` / `first`; 1 when both are 0.
 pub fn relative(value: f64, first: f64) -> f64 {
     if value == first { 1.0 } else { value / first }
-}
-
-/// The query, what was recorded and what was found, in one line.
-fn describe(mismatch: &Mismatch, image: Option<ImageSize>) -> String {
-    let Mismatch { query, record, found } = mismatch;
-    let mut text =
-        format!("query {query} ({}, {}", kind_name(record.kind), Purpose::from_byte(record.purpose).name());
-    // Writing to a String cannot fail.
-    let _ = match image.and_then(|image| image.pixel(record.path)) {
-        _ if record.path == NO_PATH => Ok(()),
-        Some((x, y)) => write!(text, ", pixel {x},{y}"),
-        None => write!(text, ", path {}", record.path),
-    };
-    if record.depth != NO_DEPTH {
-        let _ = write!(text, ", depth {}", record.depth);
-    }
-    let recorded = recorded_answer(record);
-    let found = match (found, record.is_occlusion()) {
-        (None, true) => "not occluded".to_owned(),
-        (None, false) => "a miss".to_owned(),
-        (Some(hit), true) => format!("occluded by triangle {} at t {}", hit.triangle, hit.t),
-        (Some(hit), false) => format!("triangle {} at t {}", hit.triangle, hit.t),
-    };
-    let _ = write!(text, "): recorded {recorded}, found {found} (tolerance {T_TOLERANCE:e})");
-    text
-}
-
-fn recorded_answer(record: &Record) -> String {
-    match (record.is_occlusion(), record.is_hit()) {
-        (true, true) => "occluded".to_owned(),
-        (true, false) => "not occluded".to_owned(),
-        (false, true) => format!("triangle {} at t {}", record.triangle, record.t),
-        (false, false) => "a miss".to_owned(),
-    }
 }
 
 /// The name of a kind in tables, JSON and CSV.

@@ -6,42 +6,43 @@
 
 pub mod check;
 pub mod pixels;
+pub mod profile;
+pub mod query;
 pub mod select;
 pub mod tally;
 
 use crate::format::FormatError;
-use crate::format::rays::{Chunk, NO_PATH, Rays, Record, Reject, flag};
-use crate::geometry::Ray;
+use crate::format::rays::{Chunk, NO_PATH, Rays, Record};
 use crate::progress::Progress;
 use crate::traverse::{
-    Counts, Hit, OcclusionOrder, Overlap, Prepared, PreparedRay, Recorded, Scratch, Traversal,
+    Counts, Hit, Observer, OcclusionOrder, Overlap, Prepared, PreparedRay, Scratch, Traversal,
 };
 use check::{Judge, Verdict};
 use pixels::{ImageSize, Pixels};
+use profile::{Levels, Profile, Profiler};
+use query::{Choice, Query};
 use rayon::prelude::*;
-use select::{Filter, Portion, Sample};
+use select::Sample;
 use std::ops::Range;
 use std::time::Instant;
-use tally::{Replayed, Tallies};
+use tally::{Costs, GAMMA_UNITS, Replayed, Tallies};
 
 /// Queries that one thread replays at a time.
 const PIECE: usize = 2048;
 
 /// How to replay.
 #[derive(Clone, Debug)]
-pub struct Options {
+pub struct Options<'a> {
     pub traversal: Traversal,
     /// In which order depth-first occlusion queries visit children; that of the tree which is replayed.
     pub occlusion_order: OcclusionOrder,
-    /// Only queries of this scene number ([`crate::format::rays::ChunkInfo::scene`]).
-    pub scene: u16,
-    pub filter: Filter,
-    /// Leave out the queries that this portion trains with.
-    pub held_out: Option<Portion>,
-    /// Only so many, spread over the file; before the filter.
-    pub sample: Option<u64>,
+    pub choice: Choice,
     /// Also count P_R, for T_R and Γ_R, and hold RayOrder to it.
     pub overlap: bool,
+    /// Weights of each query's Γ.
+    pub costs: Costs,
+    /// Also count tests by level and cache lines, in a second pass over each query.
+    pub profile: Option<&'a Levels>,
     /// Also sum costs by pixel.
     pub image: Option<ImageSize>,
 }
@@ -64,6 +65,7 @@ pub struct Outcome {
     /// Number of the first query for which RayOrder did not test exactly the boxes that its effective segment overlaps.
     pub violation: Option<u64>,
     pub pixels: Option<Pixels>,
+    pub profile: Option<Profile>,
 }
 
 /// What threads add up.
@@ -72,12 +74,15 @@ struct Sum {
     tallies: Tallies,
     mismatch: Option<Mismatch>,
     violation: Option<u64>,
+    profile: Profile,
 }
 
 impl Sum {
-    fn merge(self, other: Sum) -> Sum {
+    fn merge(mut self, other: Sum) -> Sum {
         let first = |a: Option<Mismatch>, b: Option<Mismatch>| a.into_iter().chain(b).min_by_key(|m| m.query);
+        self.profile.merge(&other.profile);
         Sum {
+            profile: self.profile,
             tallies: self.tallies.merge(other.tallies),
             mismatch: first(self.mismatch, other.mismatch),
             violation: self.violation.into_iter().chain(other.violation).min(),
@@ -85,11 +90,18 @@ impl Sum {
     }
 }
 
+/// What one thread uses again and again.
+#[derive(Default)]
+struct Room {
+    scratch: Scratch,
+    lines: Vec<u64>,
+}
+
 /// What every piece needs.
 struct Job<'a> {
     prepared: &'a Prepared,
     judge: &'a Judge<'a>,
-    options: &'a Options,
+    options: &'a Options<'a>,
     sample: Option<Sample>,
     pixels: Option<Pixels>,
 }
@@ -109,7 +121,7 @@ pub fn replay(
         prepared,
         judge,
         options,
-        sample: options.sample.and_then(|size| Sample::new(size, rays.query_count())),
+        sample: options.choice.sample_of(rays.query_count()),
         pixels: options.image.map(Pixels::new),
     };
     let mut sum = Sum::default();
@@ -128,42 +140,29 @@ pub fn replay(
         let found = pieces
             .into_par_iter()
             .fold(
-                || (Sum::default(), Scratch::default()),
-                |(mut sum, mut scratch), (chunk, start, range)| {
+                || {
+                    let profile = options.profile.map(Profile::new).unwrap_or_default();
+                    (Sum { profile, ..Sum::default() }, Room::default())
+                },
+                |(mut sum, mut room), (chunk, start, range)| {
                     let queries = range.len() as u64;
-                    job.piece(chunk, start, range, &mut sum, &mut scratch);
+                    job.piece(chunk, start, range, &mut sum, &mut room);
                     progress.advance(queries);
-                    (sum, scratch)
+                    (sum, room)
                 },
             )
             .map(|(sum, _)| sum)
             .reduce(Sum::default, Sum::merge);
         sum = sum.merge(found);
     }
-    let Sum { tallies, mismatch, violation } = sum;
-    Ok(Outcome { tallies, mismatch, violation, pixels: job.pixels })
-}
-
-/// A chosen query.
-struct Query<'a> {
-    number: u64,
-    record: &'a Record,
-    ray: Ray,
-    candidates: Recorded<'a>,
+    let Sum { tallies, mismatch, violation, profile } = sum;
+    let profile = options.profile.map(|_| profile);
+    Ok(Outcome { tallies, mismatch, violation, pixels: job.pixels, profile })
 }
 
 impl Job<'_> {
-    fn piece(&self, chunk: &Chunk, start: u64, range: Range<usize>, sum: &mut Sum, scratch: &mut Scratch) {
-        if chunk.info.scene != self.options.scene {
-            return;
-        }
-        let whole = start + range.start as u64..start + range.end as u64;
-        let mut queries: Vec<Query> = match self.sample {
-            None => whole.filter_map(|number| self.query(chunk, start, number)).collect(),
-            Some(sample) => {
-                sample.within(whole).filter_map(|number| self.query(chunk, start, number)).collect()
-            }
-        };
+    fn piece(&self, chunk: &Chunk, start: u64, range: Range<usize>, sum: &mut Sum, room: &mut Room) {
+        let mut queries = self.options.choice.within(chunk, start, range, self.sample);
         queries.sort_by_key(|query| tally::cell(query.record));
         let mut answers = vec![(None, Counts::default()); queries.len()];
         let mut replayed = Vec::with_capacity(queries.len());
@@ -171,54 +170,21 @@ impl Job<'_> {
             let answers = &mut answers[..group.len()];
             let started = Instant::now();
             for (query, answer) in group.iter().zip(&mut *answers) {
-                *answer = self.answer(query, scratch);
+                let mut counts = Counts::default();
+                *answer = (self.ask(query, &mut counts, &mut room.scratch), counts);
             }
             let seconds = started.elapsed().as_secs_f64();
             replayed.clear();
             replayed.extend(
-                group.iter().zip(&*answers).map(|(query, answer)| self.assess(query, *answer, sum, scratch)),
+                group.iter().zip(&*answers).map(|(query, answer)| self.assess(query, *answer, sum, room)),
             );
             sum.tallies.add(tally::cell(group[0].record), &replayed, seconds);
         }
     }
 
-    fn query<'c>(&self, chunk: &'c Chunk, start: u64, number: u64) -> Option<Query<'c>> {
-        let index = (number - start) as usize;
-        let record = &chunk.records[index];
-        let trained = |portion: &Portion| portion.trains(record, number);
-        if !self.options.filter.accepts(record) || self.options.held_out.as_ref().is_some_and(trained) {
-            return None;
-        }
-        let rejects = if record.flags & flag::HAS_REJECTS != 0 {
-            rejects_of(&chunk.rejects, index as u32)
-        } else {
-            &[]
-        };
-        let mut ray = record.ray();
-        // Something that is not a triangle ended the ray: no triangle is hit before it.
-        if record.flags & flag::NOT_A_TRIANGLE != 0 && record.is_hit() && !record.is_occlusion() {
-            ray.tfar = ray.tfar.min(record.t);
-        }
-        Some(Query { number, record, ray, candidates: Recorded { mask: record.mask, rejects } })
-    }
-
     #[inline]
-    fn answer(&self, query: &Query, scratch: &mut Scratch) -> (Option<Hit>, Counts) {
-        let mut counts = Counts::default();
-        let ray = PreparedRay::new(&query.ray);
-        let traversal = self.options.traversal;
-        let (prepared, candidates) = (self.prepared, &query.candidates);
-        let hit = match (query.record.is_occlusion(), traversal) {
-            (false, _) => prepared.closest_hit(traversal, &ray, candidates, &mut counts, scratch),
-            (true, Traversal::RayOrder) => {
-                prepared.occluder(traversal, &ray, candidates, &mut counts, scratch)
-            }
-            (true, Traversal::Odf) => {
-                let order = &self.options.occlusion_order;
-                prepared.occluder_in(order, &ray, candidates, &mut counts, scratch)
-            }
-        };
-        (hit, counts)
+    fn ask(&self, query: &Query, observer: &mut impl Observer, scratch: &mut Scratch) -> Option<Hit> {
+        query.ask(self.prepared, self.options.traversal, &self.options.occlusion_order, observer, scratch)
     }
 
     fn assess(
@@ -226,7 +192,7 @@ impl Job<'_> {
         query: &Query,
         (hit, counts): (Option<Hit>, Counts),
         sum: &mut Sum,
-        scratch: &mut Scratch,
+        Room { scratch, lines }: &mut Room,
     ) -> Replayed {
         let verdict = self.judge.judge(query.record, &query.ray, hit, &query.candidates);
         if verdict == Verdict::Mismatch && sum.mismatch.is_none_or(|first| query.number < first.query) {
@@ -249,13 +215,12 @@ impl Job<'_> {
         {
             pixels.add(query.record.path, &counts);
         }
-        Replayed { hit: hit.is_some(), counts, verdict, overlap }
+        if let Some(levels) = self.options.profile {
+            let mut profiler = Profiler::new(levels, &mut sum.profile, lines);
+            self.ask(query, &mut profiler, scratch);
+            profiler.finish();
+        }
+        let gamma = (self.options.costs.gamma(&counts) * GAMMA_UNITS).round() as u64;
+        Replayed { hit: hit.is_some(), counts, verdict, overlap, gamma }
     }
-}
-
-/// The rejects of one record; they are sorted by record.
-fn rejects_of(rejects: &[Reject], record: u32) -> &[Reject] {
-    let start = rejects.partition_point(|reject| reject.record < record);
-    let count = rejects[start..].partition_point(|reject| reject.record == record);
-    &rejects[start..start + count]
 }

@@ -2,78 +2,13 @@
 
 mod compare_support;
 
+use compare_support::cli::*;
 use compare_support::files::*;
 use compare_support::*;
 use embree_trace::format::bvh::fingerprint;
-use embree_trace::geometry::Triangle;
 use serde_json::Value;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
-
-/// A directory with trees of width 2, 4 and 8 over one scene, and a recording of 3000 queries.
-struct Files {
-    directory: tempfile::TempDir,
-    triangles: Vec<Triangle>,
-}
-
-impl Files {
-    fn new() -> Files {
-        let directory = tempfile::tempdir().expect("a temporary directory");
-        let triangles = soup(400, 0.25, &mut Random(11));
-        let files = Files { directory, triangles };
-        let meta = format!("{{\"image\":[{},{}]}}", IMAGE[0], IMAGE[1]);
-        files.write("two.bvh", &bvh_bytes(&files.triangles, 2, 1, 1, None));
-        files.write("four.bvh", &bvh_bytes(&files.triangles, 4, 2, 2, Some(&meta)));
-        files.write("eight.bvh", &bvh_bytes(&files.triangles, 8, 4, 3, None));
-        let (records, rejects) = records(&files.triangles, 3000, 5);
-        assert!(rejects.len() > 50, "rejects are part of the test");
-        let rays = rays_bytes(fingerprint(&files.triangles), &records, &rejects, 700);
-        files.write("casts.rays", &rays);
-        files
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.directory.path().join(name)
-    }
-
-    fn write(&self, name: &str, bytes: &[u8]) {
-        std::fs::write(self.path(name), bytes).expect("writing a test file");
-    }
-
-    fn read(&self, name: &str) -> Vec<u8> {
-        std::fs::read(self.path(name)).expect("reading a test file")
-    }
-
-    fn run(&self, arguments: &[&str]) -> Output {
-        Command::new(env!("CARGO_BIN_EXE_bvh-compare"))
-            .args(arguments)
-            .current_dir(self.directory.path())
-            .output()
-            .expect("running bvh-compare")
-    }
-
-    /// Runs with `--format json`, expects success.
-    fn json(&self, arguments: &[&str]) -> Value {
-        let output = self.run(&[arguments, &["--format", "json"]].concat());
-        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-        serde_json::from_slice(&output.stdout).expect("JSON on stdout")
-    }
-
-    /// Expects bad input: exit code 2 and one line that says `expected`.
-    fn refused(&self, arguments: &[&str], expected: &[&str]) {
-        let output = self.run(arguments);
-        let line = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {line}");
-        for part in expected {
-            assert!(line.contains(part), "{arguments:?}: {line:?} lacks {part:?}");
-        }
-        assert!(output.stdout.is_empty());
-    }
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
+use std::path::Path;
+use std::process::Command;
 
 fn number(value: &Value) -> u64 {
     value.as_u64().unwrap_or_else(|| panic!("{value} is no count"))
@@ -199,6 +134,145 @@ fn what_a_tree_was_trained_with_is_not_held_out() {
         number(&closest["trees"][0]["traversals"]["odf"]["queries"])
     );
     files.refused(&["two.bvh", "casts.rays", "--held-out", "1.5"], &["--held-out"]);
+}
+
+#[test]
+fn several_recordings_are_reported_apart() {
+    let files = Files::new();
+    let (others, rejects) = records(&files.triangles, 1000, 77);
+    files.write("other.rays", &rays_bytes(fingerprint(&files.triangles), &others, &rejects, 300));
+    let trees = ["two.bvh", "four.bvh"];
+    let both = timeless(files.json(&[&trees[..], &["casts.rays", "other.rays"]].concat()));
+    let parts = both["recordings"].as_array().expect("recordings");
+    assert_eq!(parts.len(), 2);
+    for (part, name) in parts.iter().zip(["casts.rays", "other.rays"]) {
+        // Each part is what the recording gives alone, but for the failures, which are said once.
+        let mut alone = timeless(files.json(&[&trees[..], &[name]].concat()));
+        alone.as_object_mut().expect("an object").remove("failures");
+        assert_eq!(part, &alone, "{name}");
+    }
+    assert_eq!(both["failures"], serde_json::json!([]));
+
+    let run = |format: &str| {
+        let output = files.run(&[&trees[..], &["casts.rays", "other.rays", "--format", format]].concat());
+        assert_eq!(output.status.code(), Some(0));
+        text(&output.stdout)
+    };
+    let table = run("table");
+    assert!(table.contains("Recording casts.rays") && table.contains("Recording other.rays"));
+    let csv = run("csv");
+    // Two trees, two orders; all, 2 kinds, 3 depths, 3 purposes.
+    for name in ["casts.rays", "other.rays"] {
+        assert_eq!(csv.lines().filter(|line| line.ends_with(&format!(",{name}"))).count(), 2 * 2 * 9);
+    }
+    let pictures = ["casts.rays", "other.rays", "--traversal", "odf", "--heatmap", "pictures"];
+    assert_eq!(files.run(&[&trees[..], &pictures].concat()).status.code(), Some(0));
+    for name in ["1-casts.rays-1-two-odf.png", "2-other.rays-2-four-odf.png"] {
+        assert!(files.path("pictures").join(name).exists(), "{name}");
+    }
+
+    // Each is checked: its scene, its answers, its costs.
+    let other = soup(50, 0.3, &mut Random(99));
+    files.write("foreign.rays", &rays_bytes(fingerprint(&other), &others, &rejects, 300));
+    files.refused(&["two.bvh", "casts.rays", "foreign.rays"], &["foreign.rays", "scene"]);
+    files.refused(&["two.bvh", "casts.rays", "four.bvh"], &["four.bvh", "swapped"]);
+    files.refused(&["casts.rays", "other.rays"], &["casts.rays", "swapped"]);
+    let mut wrong = others.clone();
+    let hit = wrong.iter().position(|record| !record.is_occlusion() && record.is_hit()).expect("a hit");
+    wrong[hit].t *= 1.01;
+    files.write("wrong.rays", &rays_bytes(fingerprint(&files.triangles), &wrong, &rejects, 300));
+    let output = files.run(&["two.bvh", "casts.rays", "wrong.rays", "--traversal", "odf"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        text(&output.stderr).contains("ODF over wrong.rays: 1 wrong answers"),
+        "{}",
+        text(&output.stderr)
+    );
+}
+
+#[test]
+fn details_tell_levels_and_cache_lines() {
+    let files = Files::new();
+    let arguments = ["two.bvh", "eight.bvh", "casts.rays", "--details"];
+    let report = files.json(&arguments);
+    for tree in report["trees"].as_array().expect("trees") {
+        assert!(tree["epo"].as_f64() > Some(0.0) && tree["leaf_count_variability"].as_f64() > Some(0.0));
+        for order in ["odf", "ray_order"] {
+            let run = &tree["traversals"][order];
+            let levels = run["by_level"].as_array().expect("levels");
+            assert_eq!(levels.len() as u64, number(&tree["depth"]));
+            for key in ["box_tests", "node_visits", "primitive_tests"] {
+                assert_eq!(levels.iter().map(|level| number(&level[key])).sum::<u64>(), number(&run[key]));
+            }
+            assert_eq!(number(&levels[0]["box_tests"]), number(&run["queries"]), "each tests the root's box");
+            // A node visit reads at most all its children's lines, a primitive test one triangle's.
+            let lines = number(&run["cache_lines"]);
+            let most = number(&run["box_tests"]) + 2 * number(&run["primitive_tests"]);
+            assert!(lines >= number(&run["queries"]) && lines <= most, "{lines}, {most}");
+        }
+    }
+    let plain = files.json(&arguments[..3]);
+    assert!(plain["trees"][0]["traversals"]["odf"].get("by_level").is_none());
+    let output = files.run(&arguments);
+    let table = text(&output.stdout);
+    assert!(
+        table.contains("cache lines") && table.lines().all(|line| line.chars().count() <= 100),
+        "{table}"
+    );
+}
+
+#[test]
+fn times_fits_and_rankings_are_reported() {
+    let files = Files::new();
+    let trees = ["two.bvh", "four.bvh", "eight.bvh"];
+    let report = files.json(&[&trees[..], &["casts.rays", "--fit", "--rounds", "3"]].concat());
+    assert_eq!(number(&report["timing"]["queries"]), 3000);
+    assert_eq!(number(&report["timing"]["rounds"]), 3);
+    let ordered = |time: &Value| {
+        let [least, median, greatest] =
+            ["least", "seconds", "greatest"].map(|key| time[key].as_f64().expect(key));
+        assert!(0.0 < least && least <= median && median <= greatest, "{time}");
+        median
+    };
+    for tree in report["trees"].as_array().expect("trees") {
+        for order in ["odf", "ray_order"] {
+            let time = &tree["traversals"][order]["time"];
+            let total = ordered(time);
+            for groups in ["by_kind", "by_purpose"] {
+                let parts = time[groups].as_object().expect("groups");
+                let sum: f64 = parts.values().map(ordered).sum();
+                assert!(sum > 0.3 * total && sum < 3.0 * total, "{sum} of {total}");
+            }
+        }
+    }
+    if cfg!(feature = "embree") {
+        ordered(&report["embree"]);
+        // The recording has masks and rejects, which Embree is not told of.
+        assert!((1..1500).contains(&number(&report["embree"]["differing"])));
+    }
+    let fits = report["fit"].as_array().expect("fits");
+    let forms: Vec<&str> = fits.iter().filter_map(|fit| fit["form"].as_str()).collect();
+    assert_eq!(forms, ["binary", "wide", "binary", "wide"]);
+    for fit in fits {
+        assert!(fit["r_squared"].as_f64() <= Some(1.0), "{fit}");
+        assert_eq!(fit["box_test"].is_null(), fit["form"] == "binary", "a visit is two box tests");
+    }
+    for ranking in report["ranking"].as_array().expect("rankings") {
+        for key in ["sah_cost", "epo", "leaf_count_variability", "t_r", "gamma_r", "gamma"] {
+            assert!(ranking[key].as_f64().is_none_or(|tau| tau.abs() <= 1.0), "{ranking}");
+        }
+    }
+    let plain = files.json(&["two.bvh", "casts.rays", "--time", "--rounds", "1"]);
+    assert!(plain.get("fit").is_none() && plain["timing"].is_object());
+    let output =
+        files.run(&[&trees[..], &["casts.rays", "--fit", "--rounds", "1", "--html", "r.html"]].concat());
+    let table = text(&output.stdout);
+    for part in ["Time per query", "Fitted costs", "Kendall"] {
+        assert!(table.contains(part), "{part}");
+    }
+    assert!(table.lines().all(|line| line.chars().count() <= 100), "{table}");
+    assert!(text(&files.read("r.html")).contains("id=\"r1-time\""));
+    files.refused(&["two.bvh", "casts.rays", "--time", "--rounds", "0"], &["--rounds"]);
 }
 
 #[test]

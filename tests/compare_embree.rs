@@ -6,13 +6,15 @@ mod compare_support;
 
 use compare_support::*;
 use embree_trace::builder::{self, Config};
-use embree_trace::compare::{Candidate, Costs, Settings, check_scenes, compare};
+use embree_trace::compare::{Candidate, Recording, Settings, check_scenes, compare};
 use embree_trace::files::MappedFile;
 use embree_trace::format::bvh::{self, Bvh, Contents};
 use embree_trace::format::rays::Rays;
 use embree_trace::mesh::{Mesh, generate, obj};
 use embree_trace::progress::Progress;
+use embree_trace::replay::query::Choice;
 use embree_trace::replay::select::Filter;
+use embree_trace::replay::tally::Costs;
 use embree_trace::traverse::Traversal;
 use embree_trace::tree::TreeView;
 use std::path::Path;
@@ -73,18 +75,18 @@ fn confirm(name: &str, mesh: &Mesh, options: &[&str], borderline: u64) {
     let settings = Settings {
         traversals: Traversal::ALL.to_vec(),
         costs: Costs { c_i: 1.0, c_p: 1.0 },
-        scene: 0,
-        filter: Filter::default(),
-        held_out: None,
+        choice: Choice { scene: 0, filter: Filter::default(), held_out: None, sample: None },
         occlusion_order: None,
-        sample: None,
-        image: None,
         pixels: false,
+        profile: false,
+        rounds: None,
+        fit: false,
     };
-    let comparison = compare(&candidates, name, &rays, settings, &Progress::hidden()).expect("whole files");
+    let recording = Recording { path: name.to_owned(), rays: &rays, image: None };
+    let comparison = compare(&candidates, &[recording], settings, &Progress::hidden()).expect("whole files");
     assert_eq!(comparison.failures(), Vec::<String>::new());
-    for tree in &comparison.trees {
-        for run in &tree.runs {
+    for (_, tree, result) in comparison.results() {
+        for run in &result.runs {
             let total = &run.outcome.tallies.total;
             assert_eq!(total.queries, rays.query_count());
             assert!(total.borderline <= borderline, "{}: {} borderline", tree.path, total.borderline);

@@ -101,6 +101,7 @@ fn naive_overlap(tree: &Tree, node: usize, ray: &PreparedRay, tfar: f32) -> Over
     let node = &tree.nodes[node];
     let overlapped = ray.entry(&node.bounds(), tfar).is_some();
     if node.is_leaf() {
+        sum.leaves = overlapped as u64;
         sum.primitives = if overlapped { node.len() as u64 } else { 0 };
     } else {
         // Every node is asked, those below a missed one too.

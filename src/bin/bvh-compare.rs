@@ -1,15 +1,19 @@
-//! `bvh-compare A.bvh B.bvh … RAYS`: the same recorded queries over several trees.
+//! `bvh-compare A.bvh B.bvh … RAYS…`: the same recorded queries over several trees.
 
 use clap::{Parser, ValueEnum};
 use embree_trace::cli::{self, Failure, Outcome};
-use embree_trace::compare::{self, Candidate, Comparison, Costs, Settings};
-use embree_trace::files::{FileError, MappedFile};
+use embree_trace::compare::{self, Candidate, Comparison, Recording, Settings};
+use embree_trace::files::{FileError, MappedFile, OutputFile};
+use embree_trace::format::FileKind;
 use embree_trace::format::bvh::Bvh;
 use embree_trace::format::rays::Rays;
 use embree_trace::progress::Progress;
 use embree_trace::replay::pixels::ImageSize;
+use embree_trace::replay::query::Choice;
 use embree_trace::replay::select::{Filter, Portion};
-use embree_trace::report::{csv, heatmap, json, table};
+use embree_trace::replay::tally::Costs;
+use embree_trace::report::circumstances::Circumstances;
+use embree_trace::report::{csv, heatmap, html, json, table};
 use embree_trace::traverse::{OrderName, Traversal};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -23,8 +27,11 @@ Examples:
   bvh-compare built.bvh ours.bvh casts.rays --filter purpose=shadow,depth=1.. --format json
   bvh-compare built.bvh ours.bvh casts.rays --sample 100000 --fail-above 1.02
   bvh-compare built.bvh ours.bvh casts.rays --held-out 0.1
+  bvh-compare built.bvh ours.bvh casts.rays other-camera.rays
   bvh-compare ours.bvh casts.rays --filter kind=occlusion --traversal odf --occlusion-order nearest
   bvh-compare built.bvh ours.bvh casts.rays --heatmap pictures --size 640x480
+  bvh-compare built.bvh ours.bvh casts.rays --html report.html
+  bvh-compare built.bvh ours.bvh casts.rays --fit --rounds 9
 
 Filters are conditions joined by commas: purpose=camera+diffuse (unknown, camera, shadow, ao, diffuse,
 specular), kind=closest or kind=occlusion, depth=1.. (also 2, 0..3 without 3, 0..=2, unknown), path=0..640.
@@ -33,9 +40,9 @@ Exit code 0: every answer is right. 1: a wrong answer, or a tree above --fail-ab
 
 /// Replays recorded ray queries over trees, counts what each costs, and checks every answer.
 #[derive(Parser)]
-#[command(name = PROGRAM, version, after_help = EXAMPLES, override_usage = "bvh-compare [OPTIONS] <BVH>... <RAYS>")]
+#[command(name = PROGRAM, version, after_help = EXAMPLES, override_usage = "bvh-compare [OPTIONS] <BVH>... <RAYS>...")]
 struct Arguments {
-    /// One or more trees (.bvh), then the recording (.rays)
+    /// One or more trees (.bvh), then one or more recordings (.rays) of their scene, each reported apart
     #[arg(required = true, num_args = 2.., value_names = ["BVH", "RAYS"])]
     files: Vec<PathBuf>,
 
@@ -87,13 +94,34 @@ struct Arguments {
     #[arg(long, default_value_t = 0)]
     threads: usize,
 
+    /// Also count tests by level of the tree, and cache lines; every query is followed once more for it
+    #[arg(long)]
+    details: bool,
+
+    /// Also measure time: the same queries without counting on one pinned thread, trees in turn, and Embree beside them
+    #[arg(long)]
+    time: bool,
+
+    /// Rounds of --time, after one that warms up
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    rounds: u32,
+
+    /// Also fit what a visit, a box test and a primitive test cost to measured times, and say how measures rank the trees;
+    /// measures as --time does
+    #[arg(long)]
+    fit: bool,
+
     /// Write a picture of the cost per pixel for each tree and traversal to DIR
     #[arg(long, value_name = "DIR")]
     heatmap: Option<PathBuf>,
 
-    /// Size of the traced image, where the trees do not say
-    #[arg(long, value_name = "WxH", value_parser = image_size)]
-    size: Option<ImageSize>,
+    /// Write a report with tables, charts and heat maps to FILE, one page that needs nothing else; counts as --details does
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
+
+    /// Size of the traced image, where the trees do not say; one per recording, or one for all
+    #[arg(long, value_name = "WxH", value_parser = image_size, value_delimiter = ',')]
+    size: Vec<ImageSize>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -129,30 +157,39 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
-    let Some((rays_path, tree_paths)) = arguments.files.split_last() else {
-        return Err(Failure::new("expected trees and a recording"));
-    };
-    let rays_file = MappedFile::open(rays_path)?;
-    let rays = Rays::parse(&rays_file).map_err(|error| at(rays_path, error))?;
-    let files = tree_paths.iter().map(|path| MappedFile::open(path)).collect::<Result<Vec<_>, _>>()?;
-    let trees = tree_paths
-        .iter()
-        .zip(&files)
-        .map(|(path, file)| Bvh::parse(file).map_err(|error| at(path, error)))
-        .collect::<Result<Vec<_>, _>>()?;
+    let files = arguments.files.iter().map(|path| MappedFile::open(path)).collect::<Result<Vec<_>, _>>()?;
+    // The recordings are the last files; the first is a tree and the last a recording, or the error says what they are.
+    let recording = |file: &&MappedFile| FileKind::of(file) == Some(FileKind::Rays);
+    let recordings = files[1..].iter().rev().take_while(recording).count().max(1);
+    let (tree_files, rays_files) = files.split_at(files.len() - recordings);
+    let (tree_paths, rays_paths) = arguments.files.split_at(tree_files.len());
+    let rays = parse_all(rays_paths, rays_files, Rays::parse)?;
+    let trees = parse_all(tree_paths, tree_files, Bvh::parse)?;
+
     let candidates: Vec<Candidate> = tree_paths
         .iter()
         .zip(&trees)
         .map(|(path, bvh)| Candidate { path: path.display().to_string(), bvh })
         .collect();
-    let rays_name = rays_path.display().to_string();
-    if let Some(warning) = compare::check_scenes(&candidates, &rays_name, &rays)? {
-        warn(&warning);
+    // Sizes help to name pixels, but only pictures cannot do without.
+    let said = trees.iter().find_map(compare::image_size);
+    let size = |number: usize| arguments.size.get(number).or(arguments.size.last()).copied().or(said);
+    let recordings: Vec<Recording> = rays_paths
+        .iter()
+        .zip(&rays)
+        .enumerate()
+        .map(|(number, (path, rays))| Recording {
+            path: path.display().to_string(),
+            rays,
+            image: size(number),
+        })
+        .collect();
+    for recording in &recordings {
+        check(&candidates, recording)?;
     }
-    if let Some(recovery) = &rays.recovery {
-        let (queries, lost) = (recovery.queries, recovery.lost_bytes);
-        warn(&format!(
-            "{rays_name}: the recording was cut off; {queries} queries recovered, {lost} bytes lost"
+    if arguments.heatmap.is_some() && size(0).is_none() {
+        return Err(Failure::new(
+            "--heatmap needs the size of the traced image, which no tree says; give --size WxH",
         ));
     }
 
@@ -164,29 +201,25 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
             true
         }
     });
-    // Sizes help to name pixels, but only pictures cannot do without.
-    let image = arguments.size.or_else(|| trees.iter().find_map(compare::image_size));
-    if arguments.heatmap.is_some() && image.is_none() {
-        return Err(Failure::new(
-            "--heatmap needs the size of the traced image, which no tree says; give --size WxH",
-        ));
-    }
     let settings = Settings {
         traversals,
         occlusion_order: arguments.occlusion_order,
         costs: Costs { c_i: arguments.ci, c_p: arguments.cp },
-        scene: arguments.scene,
-        filter: arguments.filter.clone(),
-        held_out: arguments.held_out.map(|share| Portion { share, seed: arguments.seed }),
-        sample: arguments.sample,
-        image,
-        pixels: arguments.heatmap.is_some(),
+        choice: Choice {
+            scene: arguments.scene,
+            filter: arguments.filter.clone(),
+            held_out: arguments.held_out.map(|share| Portion { share, seed: arguments.seed }),
+            sample: arguments.sample,
+        },
+        pixels: arguments.heatmap.is_some() || arguments.html.is_some(),
+        profile: arguments.details || arguments.html.is_some(),
+        rounds: (arguments.time || arguments.fit).then_some(arguments.rounds),
+        fit: arguments.fit,
     };
-    let steps = rays.query_count() * (trees.len() * settings.traversals.len()) as u64;
+    let queries: u64 = rays.iter().map(Rays::query_count).sum();
+    let progress = Progress::new("replaying", queries * (trees.len() * settings.traversals.len()) as u64);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(arguments.threads).build()?;
-    let progress = Progress::new("replaying", steps);
-    let comparison =
-        pool.install(|| compare::compare(&candidates, &rays_name, &rays, settings, &progress))?;
+    let comparison = pool.install(|| compare::compare(&candidates, &recordings, settings, &progress))?;
     drop(progress);
 
     if let Some(directory) = &arguments.heatmap {
@@ -194,14 +227,38 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     }
     let mut failures = comparison.failures();
     failures.extend(arguments.fail_above.into_iter().flat_map(|limit| comparison.above(limit)));
+    if let Some(path) = &arguments.html {
+        write_page(path, &comparison, &failures)?;
+    }
     let text = match arguments.format {
         Format::Table => table::render(&comparison),
-        Format::Json => json::render(&comparison, &rays_name, &failures)? + "\n",
+        Format::Json => json::render(&comparison, &failures)? + "\n",
         Format::Csv => csv::render(&comparison),
     };
     failures.iter().for_each(|line| eprintln!("{PROGRAM}: failed: {line}"));
     std::io::stdout().lock().write_all(text.as_bytes())?;
     Ok(if failures.is_empty() { Outcome::Good } else { Outcome::Failed })
+}
+
+/// Reads files of one kind; an error says which file.
+fn parse_all<'a, T, E: std::error::Error>(
+    paths: &[PathBuf],
+    files: &'a [MappedFile],
+    parse: impl Fn(&'a [u8]) -> Result<T, E>,
+) -> Result<Vec<T>, Failure> {
+    paths.iter().zip(files).map(|(path, file)| parse(file).map_err(|error| at(path, error))).collect()
+}
+
+/// Refuses a recording of another scene, and warns of one that is not whole.
+fn check(candidates: &[Candidate], Recording { path, rays, .. }: &Recording) -> Result<(), Failure> {
+    if let Some(warning) = compare::check_scenes(candidates, path, rays)? {
+        warn(&warning);
+    }
+    if let Some(recovery) = &rays.recovery {
+        let (queries, lost) = (recovery.queries, recovery.lost_bytes);
+        warn(&format!("{path}: the recording was cut off; {queries} queries recovered, {lost} bytes lost"));
+    }
+    Ok(())
 }
 
 fn at(path: &Path, error: impl std::error::Error) -> Failure {
@@ -210,6 +267,16 @@ fn at(path: &Path, error: impl std::error::Error) -> Failure {
 
 fn warn(line: &str) {
     eprintln!("{PROGRAM}: warning: {line}");
+}
+
+fn write_page(path: &Path, comparison: &Comparison, failures: &[String]) -> Result<(), Failure> {
+    let arguments = std::env::args_os().map(|argument| argument.to_string_lossy().into_owned());
+    let page = html::render(comparison, &Circumstances::of(PROGRAM, arguments), failures);
+    let mut file = OutputFile::create(path)?;
+    file.write_all(page.as_bytes()).map_err(|error| file.write_error(error))?;
+    file.commit()?;
+    eprintln!("{PROGRAM}: the report is in {}", path.display());
+    Ok(())
 }
 
 fn write_pictures(directory: &Path, comparison: &Comparison) -> Result<(), Failure> {

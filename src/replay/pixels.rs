@@ -1,5 +1,6 @@
 //! Costs per pixel, for heat maps: summed by all threads into one image.
 
+use super::tally::Costs;
 use crate::traverse::Counts;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use thiserror::Error;
@@ -59,14 +60,14 @@ impl Pixels {
         }
     }
 
-    /// `c_i` · box tests + `c_p` · primitive tests of every pixel, row by row.
-    pub fn costs(&self, c_i: f64, c_p: f64) -> Vec<f64> {
-        self.box_tests
-            .iter()
-            .zip(&self.primitive_tests)
-            .map(|(boxes, primitives)| {
-                c_i * boxes.load(Relaxed) as f64 + c_p * primitives.load(Relaxed) as f64
-            })
-            .collect()
+    /// Γ of every pixel, row by row.
+    pub fn costs(&self, costs: &Costs) -> Vec<f64> {
+        let sums = self.box_tests.iter().zip(&self.primitive_tests);
+        let counts = |(boxes, primitives): (&AtomicU64, &AtomicU64)| Counts {
+            box_tests: boxes.load(Relaxed),
+            primitive_tests: primitives.load(Relaxed),
+            ..Counts::default()
+        };
+        sums.map(|pixel| costs.gamma(&counts(pixel))).collect()
     }
 }

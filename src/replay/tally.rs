@@ -40,6 +40,12 @@ impl Histogram {
         (place - shift * STEPS) << shift
     }
 
+    /// Every value counted and how often, ascending; above 2048 the smallest of those that share a place.
+    pub fn entries(&self) -> impl Iterator<Item = (u64, u64)> {
+        let counted = self.places.iter().enumerate().filter(|(_, count)| **count > 0);
+        counted.map(|(place, &count)| (Self::value(place), count))
+    }
+
     /// The smallest value that at least `fraction` of the counted values do not exceed; 0 when none was counted.
     pub fn quantile(&self, fraction: f64) -> u64 {
         let rank = ((fraction * self.count as f64).ceil() as u64).max(1);
@@ -64,6 +70,33 @@ impl Histogram {
     }
 }
 
+/// Weights of Γ and of the SAH cost.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Costs {
+    /// Of a box test.
+    pub c_i: f64,
+    /// Of a primitive test.
+    pub c_p: f64,
+}
+
+impl Costs {
+    /// Γ as measured: `c_i` · box tests + `c_p` · primitive tests.
+    pub fn gamma(&self, counts: &Counts) -> f64 {
+        self.c_i * counts.box_tests as f64 + self.c_p * counts.primitive_tests as f64
+    }
+
+    /// Γ_R of a tree: what strictly front-to-back traversal of every effective segment costs,
+    /// `c_i` · (queries + Σ P_R(b) · children of b) + `c_p` · Σ P_R(l) · primitives of l.
+    ///
+    /// The paper's section 2.3 with the root's box test added, and for any number of children and primitives.
+    pub fn expected(&self, queries: u64, overlap: &Overlap) -> f64 {
+        self.c_i * (queries + overlap.children) as f64 + self.c_p * overlap.primitives as f64
+    }
+}
+
+/// Units of [`Tally::gamma`]'s histogram in a Γ of 1.
+pub const GAMMA_UNITS: f64 = 16.0;
+
 /// Everything that is known of a group of queries.
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
@@ -74,12 +107,16 @@ pub struct Tally {
     pub box_tests: Histogram,
     pub node_visits: Histogram,
     pub primitive_tests: Histogram,
+    /// Γ of each query, in units of 1 / [`GAMMA_UNITS`].
+    pub gamma: Histogram,
     pub mismatches: u64,
     pub borderline: u64,
     /// Answers that triangles cannot decide: the recorded program hit something else.
     pub unchecked: u64,
     /// Terms of T_R and Γ_R; zero when they were not asked for.
     pub overlap: Overlap,
+    /// Σ over queries of the square of the leaves overlapped.
+    pub leaves_squared: u128,
     /// Traversal only, counting included; summed over threads.
     pub seconds: f64,
 }
@@ -91,9 +128,19 @@ pub struct Replayed {
     pub counts: Counts,
     pub verdict: Verdict,
     pub overlap: Overlap,
+    /// In units of 1 / [`GAMMA_UNITS`].
+    pub gamma: u64,
 }
 
 impl Tally {
+    /// Leaf count variability (Aila, Karras and Laine 2013, section 5): the standard deviation of the number of leaves
+    /// that a query's effective segment overlaps. Theirs is over the rays that they traced, ours over the recorded ones.
+    pub fn leaf_count_variability(&self) -> f64 {
+        let count = self.queries.max(1) as f64;
+        let mean = self.overlap.leaves as f64 / count;
+        (self.leaves_squared as f64 / count - mean * mean).max(0.0).sqrt()
+    }
+
     pub fn add(&mut self, query: &Replayed) {
         self.queries += 1;
         self.hits += query.hit as u64;
@@ -101,6 +148,7 @@ impl Tally {
         self.box_tests.add(query.counts.box_tests);
         self.node_visits.add(query.counts.node_visits);
         self.primitive_tests.add(query.counts.primitive_tests);
+        self.gamma.add(query.gamma);
         match query.verdict {
             Verdict::Agrees => {}
             Verdict::Borderline => self.borderline += 1,
@@ -108,6 +156,7 @@ impl Tally {
             Verdict::Unchecked => self.unchecked += 1,
         }
         self.overlap += query.overlap;
+        self.leaves_squared += u128::from(query.overlap.leaves).pow(2);
     }
 
     pub fn merge(&mut self, other: &Tally) {
@@ -117,10 +166,12 @@ impl Tally {
         self.box_tests.merge(&other.box_tests);
         self.node_visits.merge(&other.node_visits);
         self.primitive_tests.merge(&other.primitive_tests);
+        self.gamma.merge(&other.gamma);
         self.mismatches += other.mismatches;
         self.borderline += other.borderline;
         self.unchecked += other.unchecked;
         self.overlap += other.overlap;
+        self.leaves_squared += other.leaves_squared;
         self.seconds += other.seconds;
     }
 }
@@ -213,7 +264,8 @@ mod tests {
             counts: Counts { box_tests: n, node_visits: n / 2, primitive_tests: 3 },
             verdict: [Verdict::Agrees, Verdict::Borderline, Verdict::Mismatch, Verdict::Unchecked]
                 [n as usize % 4],
-            overlap: Overlap { inner: n, children: 2 * n, primitives: 1 },
+            overlap: Overlap { inner: n, children: 2 * n, leaves: n, primitives: 1 },
+            gamma: 16 * n,
         };
         let cells = [(0, 0, Purpose::Camera), (1, 1, Purpose::Shadow)];
         let mut whole = Tallies::default();
@@ -230,5 +282,9 @@ mod tests {
         assert_eq!((merged.total.mismatches, merged.total.borderline, merged.total.unchecked), (25, 25, 25));
         assert_eq!(merged.by_purpose[&Purpose::Shadow].queries, 50);
         assert_eq!(merged.total.seconds, 50.0);
+        // Of 0, 1, … 99.
+        let deviation = ((100.0f64 * 100.0 - 1.0) / 12.0).sqrt();
+        assert!((merged.total.leaf_count_variability() - deviation).abs() < 1e-9);
+        assert_eq!(merged.total.gamma.entries().nth(3), Some((48, 1)));
     }
 }

@@ -1,19 +1,19 @@
-//! A comparison as CSV: a row per tree, traversal and group of queries, with the tree's own numbers repeated.
+//! A comparison as CSV: a row per recording, tree, traversal and group of queries, with the tree's own numbers repeated.
 
-use super::{groups, mean};
+use super::{gamma_quantile, groups, mean};
 use crate::compare::Comparison;
 use std::fmt::Write;
 
 const COLUMNS: &str = "path,nodes,leaves,depth,max_children,sah_cost,t_r,tree_gamma,traversal,group,name,queries,box_tests,\
                        node_visits,primitive_tests,mismatches,borderline,seconds,gamma,box_tests_mean,box_tests_median,\
                        box_tests_p99,node_visits_mean,node_visits_median,node_visits_p99,primitive_tests_mean,\
-                       primitive_tests_median,primitive_tests_p99";
+                       primitive_tests_median,primitive_tests_p99,gamma_median,gamma_p99,epo,leaf_count_variability,rays";
 
 /// The whole comparison, a header line first.
 pub fn render(comparison: &Comparison) -> String {
     let costs = &comparison.settings.costs;
     let mut text = format!("{COLUMNS}\n");
-    for tree in &comparison.trees {
+    for (recording, tree, result) in comparison.results() {
         let s = &tree.statistics;
         let own = format!(
             "{},{},{},{},{},{},{},{}",
@@ -23,10 +23,11 @@ pub fn render(comparison: &Comparison) -> String {
             s.depth,
             s.max_children,
             tree.sah_cost,
-            tree.t_r(),
-            tree.gamma(costs)
+            result.t_r(),
+            result.gamma(costs)
         );
-        for run in &tree.runs {
+        let rays = quoted(&recording.path);
+        for run in &result.runs {
             for group in groups(&run.outcome.tallies) {
                 let tally = group.tally;
                 let counts = &tally.counts;
@@ -44,7 +45,7 @@ pub fn render(comparison: &Comparison) -> String {
                     tally.mismatches,
                     tally.borderline,
                     tally.seconds,
-                    costs.gamma(tally),
+                    costs.gamma(counts),
                 );
                 for (sum, histogram) in [
                     (counts.box_tests, &tally.box_tests),
@@ -54,7 +55,9 @@ pub fn render(comparison: &Comparison) -> String {
                     let (median, p99) = (histogram.quantile(0.5), histogram.quantile(0.99));
                     let _ = write!(text, ",{},{median},{p99}", mean(sum, tally.queries));
                 }
-                text.push('\n');
+                let (median, p99) = (gamma_quantile(tally, 0.5), gamma_quantile(tally, 0.99));
+                let (epo, variability) = (tree.epo, result.leaf_count_variability());
+                let _ = writeln!(text, ",{median},{p99},{epo},{variability},{rays}");
             }
         }
     }

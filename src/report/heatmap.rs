@@ -1,7 +1,8 @@
 //! Costs per pixel as a picture: a title, the image in colours that colour-blind readers can tell apart, and a bar that says
 //! what each colour means. All pictures of one comparison share the bar's scale, so that they can be laid side by side.
 
-use crate::compare::Comparison;
+use super::stem;
+use crate::compare::{Comparison, RecordingResult};
 use crate::replay::pixels::ImageSize;
 use colorous::VIRIDIS;
 use image::{Rgb, RgbImage};
@@ -22,46 +23,57 @@ const LEAST_SIDE: u32 = 480;
 const INK: [u8; 3] = [20, 20, 20];
 const PAPER: Rgb<u8> = Rgb([255, 255, 255]);
 /// The scale ends at this fraction of the pixels that have a cost: a few extreme ones would leave the rest dark.
-const SCALE_END: f64 = 0.999;
+pub(super) const SCALE_END: f64 = 0.999;
 
-/// A heat map of every tree under every traversal that summed pixels.
+/// A heat map of every tree under every traversal that summed pixels, for each recording.
 pub fn render(comparison: &Comparison) -> Vec<HeatMap> {
+    comparison
+        .recordings
+        .iter()
+        .enumerate()
+        .flat_map(|(number, recording)| {
+            let several = comparison.recordings.len() > 1;
+            let prefix =
+                if several { format!("{}-{}-", number + 1, stem(&recording.path)) } else { String::new() };
+            maps(comparison, recording, &prefix)
+        })
+        .collect()
+}
+
+fn maps(comparison: &Comparison, recording: &RecordingResult, prefix: &str) -> Vec<HeatMap> {
     let costs = &comparison.settings.costs;
     let mut maps = Vec::new();
-    for (number, tree) in comparison.trees.iter().enumerate() {
+    for (number, (facts, tree)) in comparison.trees.iter().zip(&recording.trees).enumerate() {
         for run in &tree.runs {
             if let Some(pixels) = &run.outcome.pixels {
-                maps.push((number, tree, run.traversal, pixels.size, pixels.costs(costs.c_i, costs.c_p)));
+                maps.push((number, stem(&facts.path), run.traversal, pixels.size, pixels.costs(costs)));
             }
         }
     }
-    let end = scale_end(maps.iter().flat_map(|(.., values)| values.iter().copied()));
-    let draw =
-        |(number, tree, traversal, size, values): (usize, &crate::compare::TreeResult, _, _, Vec<f64>)| {
-            let traversal: crate::traverse::Traversal = traversal;
-            let file = tree.path.rsplit('/').next().unwrap_or(&tree.path);
-            let stem = file.strip_suffix(".bvh").unwrap_or(file);
-            let mean = values.iter().sum::<f64>() / values.len() as f64;
-            let title = format!("{stem}, {}", traversal.name());
-            let caption = format!(
-                "cost per pixel = {} x box tests + {} x primitive tests; mean {mean:.1}",
-                costs.c_i, costs.c_p
-            );
-            HeatMap {
-                file_name: format!("{}-{stem}-{}.png", number + 1, traversal.key()),
-                picture: picture(&title, &caption, size, &values, end),
-            }
-        };
-    maps.into_iter().map(draw).collect()
+    let end = scale_end(maps.iter().flat_map(|(.., values)| values.iter().copied()), SCALE_END);
+    let mut drawn = Vec::with_capacity(maps.len());
+    for (number, stem, traversal, size, values) in maps {
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        let title = format!("{stem}, {}", traversal.name());
+        let caption = format!(
+            "cost per pixel = {} x box tests + {} x primitive tests; mean {mean:.1}",
+            costs.c_i, costs.c_p
+        );
+        drawn.push(HeatMap {
+            file_name: format!("{prefix}{}-{stem}-{}.png", number + 1, traversal.key()),
+            picture: picture(&title, &caption, size, &values, end),
+        });
+    }
+    drawn
 }
 
-/// The value at the top of the scale: no more than [`SCALE_END`] of the positive ones are above it.
-fn scale_end(values: impl Iterator<Item = f64>) -> f64 {
+/// The value at the top of a scale: `fraction` of the positive ones are not above it.
+pub(super) fn scale_end(values: impl Iterator<Item = f64>, fraction: f64) -> f64 {
     let mut positive: Vec<f64> = values.filter(|value| *value > 0.0).collect();
     if positive.is_empty() {
         return 1.0;
     }
-    let index = ((positive.len() - 1) as f64 * SCALE_END) as usize;
+    let index = ((positive.len() - 1) as f64 * fraction) as usize;
     *positive.select_nth_unstable_by(index, f64::total_cmp).1
 }
 
@@ -164,9 +176,9 @@ mod tests {
 
     #[test]
     fn the_scale_leaves_out_extremes_only() {
-        assert_eq!(scale_end([].into_iter()), 1.0);
-        assert_eq!(scale_end([0.0, 4.0].into_iter()), 4.0);
+        assert_eq!(scale_end([].into_iter(), SCALE_END), 1.0);
+        assert_eq!(scale_end([0.0, 4.0].into_iter(), SCALE_END), 4.0);
         let values = (1..=10_000).map(f64::from).chain([1e9]);
-        assert!((9_980.0..=10_000.0).contains(&scale_end(values)));
+        assert!((9_980.0..=10_000.0).contains(&scale_end(values, SCALE_END)));
     }
 }

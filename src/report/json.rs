@@ -1,8 +1,15 @@
 //! A comparison as JSON. Keys are a contract: scripts read `trees[].traversals.odf.by_purpose.shadow.box_tests` and the like.
+//!
+//! Of several recordings, `recordings` holds for each what the whole would be for it alone.
 
-use super::mean;
-use crate::compare::{Comparison, Costs, Run, TreeResult, depth_name, kind_name, relative};
-use crate::replay::tally::{Histogram, Tally};
+use super::json_time::{TimeJson, Timed};
+use super::{gamma_quantile, mean};
+use crate::compare::{
+    Comparison, RecordingResult, Run, TreeFacts, TreeResult, depth_name, kind_name, relative,
+};
+use crate::replay::profile::Profile;
+use crate::replay::tally::{Costs, Histogram, Tally};
+use crate::traverse::Counts;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -12,6 +19,15 @@ struct Report<'a> {
     c_i: f64,
     c_p: f64,
     trees: Vec<Tree<'a>>,
+    #[serde(flatten)]
+    timing: Option<Timed>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    failures: Option<&'a [String]>,
+}
+
+#[derive(Serialize)]
+struct Several<'a> {
+    recordings: Vec<Report<'a>>,
     failures: &'a [String],
 }
 
@@ -25,6 +41,9 @@ struct Tree<'a> {
     max_children: usize,
     max_leaf: usize,
     sah_cost: f64,
+    /// End-point overlap.
+    epo: f64,
+    leaf_count_variability: f64,
     /// In which depth-first occlusion queries visited children.
     occlusion_order: &'static str,
     t_r: u64,
@@ -42,6 +61,25 @@ struct Traversal {
     by_kind: BTreeMap<&'static str, Group>,
     by_depth: BTreeMap<String, Group>,
     by_purpose: BTreeMap<&'static str, Group>,
+    #[serde(flatten)]
+    profile: Option<Levels>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time: Option<TimeJson>,
+}
+
+/// What a profile adds.
+#[derive(Serialize)]
+struct Levels {
+    cache_lines: u64,
+    /// The root's level first.
+    by_level: Vec<Level>,
+}
+
+#[derive(Serialize)]
+struct Level {
+    box_tests: u64,
+    node_visits: u64,
+    primitive_tests: u64,
 }
 
 #[derive(Serialize)]
@@ -64,39 +102,66 @@ struct Group {
 
 #[derive(Serialize)]
 struct PerQuery {
-    box_tests: Distribution,
-    node_visits: Distribution,
-    primitive_tests: Distribution,
+    box_tests: Distribution<u64>,
+    node_visits: Distribution<u64>,
+    primitive_tests: Distribution<u64>,
+    /// To within 1/16.
+    gamma: Distribution<f64>,
 }
 
 #[derive(Serialize)]
-struct Distribution {
+struct Distribution<T> {
     mean: f64,
-    median: u64,
-    p99: u64,
+    median: T,
+    p99: T,
 }
 
 /// The whole comparison, pretty-printed, with the lines that made it fail.
-pub fn render(comparison: &Comparison, rays: &str, failures: &[String]) -> serde_json::Result<String> {
-    let Costs { c_i, c_p } = comparison.settings.costs;
-    let trees = comparison.trees.iter().map(|tree| tree_of(comparison, tree)).collect();
-    serde_json::to_string_pretty(&Report { rays, c_i, c_p, trees, failures })
+pub fn render(comparison: &Comparison, failures: &[String]) -> serde_json::Result<String> {
+    match comparison.recordings.as_slice() {
+        [only] => serde_json::to_string_pretty(&report_of(comparison, only, Some(failures))),
+        several => {
+            let recordings = several.iter().map(|recording| report_of(comparison, recording, None)).collect();
+            serde_json::to_string_pretty(&Several { recordings, failures })
+        }
+    }
 }
 
-fn tree_of<'a>(comparison: &'a Comparison, tree: &'a TreeResult) -> Tree<'a> {
+fn report_of<'a>(
+    comparison: &'a Comparison,
+    recording: &'a RecordingResult,
+    failures: Option<&'a [String]>,
+) -> Report<'a> {
     let costs = &comparison.settings.costs;
-    let first = comparison.trees.first().unwrap_or(tree);
+    let first = &recording.trees[0];
+    let trees = comparison.trees.iter().zip(&recording.trees);
+    let mut trees: Vec<Tree> = trees.map(|(facts, tree)| tree_of(costs, facts, tree, first)).collect();
+    if let Some(timing) = &recording.timing {
+        for (tree, times) in trees.iter_mut().zip(&timing.trees) {
+            for (traversal, time) in comparison.settings.traversals.iter().zip(times) {
+                let place = tree.traversals.get_mut(traversal.key());
+                place.into_iter().for_each(|place| place.time = Some(TimeJson::of(time)));
+            }
+        }
+    }
+    let timing = Timed::of(comparison, recording);
+    Report { rays: &recording.path, c_i: costs.c_i, c_p: costs.c_p, trees, timing, failures }
+}
+
+fn tree_of<'a>(costs: &Costs, facts: &'a TreeFacts, tree: &TreeResult, first: &TreeResult) -> Tree<'a> {
     let gamma = tree.gamma(costs);
     Tree {
-        path: &tree.path,
-        producer: &tree.producer,
-        nodes: tree.statistics.nodes,
-        leaves: tree.statistics.leaves,
-        depth: tree.statistics.depth,
-        max_children: tree.statistics.max_children,
-        max_leaf: tree.statistics.max_leaf,
-        sah_cost: tree.sah_cost,
-        occlusion_order: tree.occlusion_order.key(),
+        path: &facts.path,
+        producer: &facts.producer,
+        nodes: facts.statistics.nodes,
+        leaves: facts.statistics.leaves,
+        depth: facts.statistics.depth,
+        max_children: facts.statistics.max_children,
+        max_leaf: facts.statistics.max_leaf,
+        sah_cost: facts.sah_cost,
+        epo: facts.epo,
+        leaf_count_variability: tree.leaf_count_variability(),
+        occlusion_order: facts.occlusion_order.key(),
         t_r: tree.t_r(),
         t_r_by_kind: tree
             .overlap()
@@ -114,6 +179,15 @@ fn tree_of<'a>(comparison: &'a Comparison, tree: &'a TreeResult) -> Tree<'a> {
             .map(|(run, first)| (run.traversal.key(), traversal_of(costs, run, first)))
             .collect(),
     }
+}
+
+fn levels_of(profile: &Profile) -> Levels {
+    let level = |&Counts { box_tests, node_visits, primitive_tests }: &Counts| Level {
+        box_tests,
+        node_visits,
+        primitive_tests,
+    };
+    Levels { cache_lines: profile.cache_lines, by_level: profile.levels.iter().map(level).collect() }
 }
 
 fn traversal_of(costs: &Costs, run: &Run, first: &Run) -> Traversal {
@@ -136,11 +210,13 @@ fn traversal_of(costs: &Costs, run: &Run, first: &Run) -> Traversal {
             .iter()
             .map(|(purpose, tally)| (purpose.name(), group(tally, first.by_purpose.get(purpose))))
             .collect(),
+        profile: run.outcome.profile.as_ref().map(levels_of),
+        time: None,
     }
 }
 
 fn group_of(costs: &Costs, tally: &Tally, first: Option<&Tally>) -> Group {
-    let gamma = costs.gamma(tally);
+    let gamma = costs.gamma(&tally.counts);
     let distribution = |sum: u64, histogram: &Histogram| Distribution {
         mean: mean(sum, tally.queries),
         median: histogram.quantile(0.5),
@@ -158,11 +234,16 @@ fn group_of(costs: &Costs, tally: &Tally, first: Option<&Tally>) -> Group {
         unchecked: tally.unchecked,
         seconds: tally.seconds,
         gamma,
-        gamma_ratio: first.map(|first| relative(gamma, costs.gamma(first))),
+        gamma_ratio: first.map(|first| relative(gamma, costs.gamma(&first.counts))),
         per_query: PerQuery {
             box_tests: distribution(counts.box_tests, &tally.box_tests),
             node_visits: distribution(counts.node_visits, &tally.node_visits),
             primitive_tests: distribution(counts.primitive_tests, &tally.primitive_tests),
+            gamma: Distribution {
+                mean: gamma / tally.queries.max(1) as f64,
+                median: gamma_quantile(tally, 0.5),
+                p99: gamma_quantile(tally, 0.99),
+            },
         },
     }
 }

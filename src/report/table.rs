@@ -1,57 +1,115 @@
 //! A comparison for people: a summary, the trees, and where the queries' costs come from, each within 100 columns.
 
-use super::{groups, mean};
-use crate::compare::{Comparison, relative};
+use super::{grouped, groups, mean, time, tree_names};
+use crate::compare::{Comparison, RecordingResult, explained, relative};
+use crate::traverse::Counts;
 use comfy_table::presets::UTF8_BORDERS_ONLY;
 use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
 
 /// Columns of a terminal that everything fits in.
 const WIDTH: u16 = 100;
 
-/// The whole comparison.
+/// The whole comparison: a block per recording.
 pub fn render(comparison: &Comparison) -> String {
     let names = names(comparison);
-    let mut text = format!("Cost per query\n{}\n", summary(comparison, &names));
-    text += &format!("\nTrees\n{}\n", trees(comparison, &names));
-    for (index, traversal) in comparison.settings.traversals.iter().enumerate() {
-        text += &format!(
-            "\nBy kind, depth and purpose: {}\n{}\n",
-            traversal.name(),
-            breakdown(comparison, &names, index)
-        );
+    let several = comparison.recordings.len() > 1;
+    let mut text = String::new();
+    for recording in &comparison.recordings {
+        if several {
+            text += &format!("Recording {}\n\n", recording.path);
+        }
+        text += &block(comparison, recording, &names);
+        if several {
+            text.push('\n');
+        }
     }
     let costs = &comparison.settings.costs;
     text += &format!(
         "\nΓ = {} · box tests + {} · primitive tests. ratio: Γ relative to the first tree's. T_R: inner nodes\n\
-         that effective segments overlap. Γ_R: Γ of strict front-to-back order over those segments.\n\
-         µs: on one thread, with counting.\n",
+         that effective segments overlap. Γ_R: Γ of strict front-to-back order over those segments. EPO:\n\
+         end-point overlap. LCV: leaf count variability. µs: on one thread, with counting.\n",
         costs.c_i, costs.c_p
     );
     text
 }
 
-/// What each tree is called: the end of its path, as short as tells the trees apart at a glance.
-fn names(comparison: &Comparison) -> Vec<String> {
-    const LONGEST: usize = 16;
-    let paths = || comparison.trees.iter().map(|tree| tree.path.as_str());
-    let stem = |path: &str| {
-        let file = path.rsplit('/').next().unwrap_or(path);
-        file.strip_suffix(".bvh").unwrap_or(file).to_owned()
+fn block(comparison: &Comparison, recording: &RecordingResult, names: &[String]) -> String {
+    let mut text = format!("Cost per query\n{}\n", summary(comparison, recording, names));
+    text += &format!("\nTrees\n{}\n", trees(comparison, recording, names));
+    text += &times(comparison, recording);
+    for (index, traversal) in comparison.settings.traversals.iter().enumerate() {
+        if let Some(levels) = levels(recording, names, index) {
+            text += &format!("\nBy level of the tree, per query: {}\n{levels}\n", traversal.name());
+        }
+        text += &format!(
+            "\nBy kind, depth and purpose: {}\n{}\n",
+            traversal.name(),
+            breakdown(comparison, recording, names, index)
+        );
+    }
+    text
+}
+
+/// Measured times, and what was fitted to them; empty when nothing was timed.
+fn times(comparison: &Comparison, recording: &RecordingResult) -> String {
+    let Some(timing) = &recording.timing else { return String::new() };
+    let purposes = time::purposes(timing);
+    let header = [&["Tree", "Order", "ns", "least", "greatest", "ratio"][..], &purposes].concat();
+    let row = |row: time::TimeRow| {
+        let mut cells = vec![shortened(row.name), row.order.to_owned()];
+        cells.extend([row.median, row.least, row.greatest].map(|ns| format!("{ns:.1}")));
+        cells.push(format!("{:.3}", row.ratio));
+        cells.extend(row.by_purpose.iter().map(|ns| format!("{ns:.1}")));
+        cells
     };
-    let stems: Vec<String> = paths().map(stem).collect();
-    stems
-        .iter()
-        .enumerate()
-        .map(|(index, name)| {
-            let unique = stems.iter().filter(|other| *other == name).count() == 1;
-            let name = if unique { name.clone() } else { format!("{}: {name}", index + 1) };
-            if name.chars().count() <= LONGEST {
-                return name;
-            }
-            let tail: Vec<char> = name.chars().rev().take(LONGEST - 1).collect();
-            std::iter::once('…').chain(tail.into_iter().rev()).collect()
-        })
-        .collect()
+    let rows = time::rows(comparison, recording).into_iter().map(row).collect();
+    let mut text =
+        format!("\nTime per query\n{}\n{}\n", table(&header, 2, rows), time::wrapped(&time::method(timing)));
+    let fits: Vec<Vec<String>> = explained::fitted(comparison, recording).iter().map(fitted).collect();
+    if !fits.is_empty() {
+        let header = ["Order", "trees", "groups", "query", "visit", "box", "primitive", "c_P/c_I", "R²"];
+        text += &format!("\nFitted costs, ns ± standard error\n{}\n", table(&header, 2, fits));
+    }
+    let rankings = explained::rankings(comparison, recording);
+    if let Some(first) = rankings.first() {
+        let names = first.measures.iter().map(|(key, _)| time::measure_name(key));
+        let header: Vec<&str> = std::iter::once("Order").chain(names).collect();
+        let row = |ranking: &explained::Ranking| {
+            let tau = |tau: &Option<f64>| tau.map_or("–".to_owned(), |tau| format!("{tau:.2}"));
+            let cells = ranking.measures.iter().map(|(_, value)| tau(value));
+            std::iter::once(ranking.traversal.name().to_owned()).chain(cells).collect()
+        };
+        let rows = rankings.iter().map(row).collect();
+        text += &format!("\nHow they rank the trees by time, Kendall's τ\n{}\n", table(&header, 1, rows));
+    }
+    text
+}
+
+fn fitted(fitted: &explained::Fitted) -> Vec<String> {
+    let mut cells = vec![fitted.traversal.name().to_owned(), format!("{} {}", fitted.trees, fitted.form)];
+    let Some(fit) = &fitted.fit else {
+        cells.resize(9, "–".to_owned());
+        return cells;
+    };
+    cells.push(fit.observations.to_string());
+    cells.extend([fit.query, fit.node_visit, fit.box_test, fit.primitive_test].map(time::estimate));
+    cells.push(fit.ratio().map_or("–".to_owned(), |ratio| format!("{ratio:.2}")));
+    cells.push(format!("{:.4}", fit.r_squared));
+    cells
+}
+
+/// What each tree is called: the end of its name where that is long.
+fn names(comparison: &Comparison) -> Vec<String> {
+    tree_names(comparison).into_iter().map(shortened).collect()
+}
+
+fn shortened(name: String) -> String {
+    const LONGEST: usize = 16;
+    if name.chars().count() <= LONGEST {
+        return name;
+    }
+    let tail: Vec<char> = name.chars().rev().take(LONGEST - 1).collect();
+    std::iter::once('…').chain(tail.into_iter().rev()).collect()
 }
 
 /// A table whose columns are right-aligned from the `text`-th on.
@@ -71,11 +129,11 @@ fn table(header: &[&str], text: usize, rows: Vec<Vec<String>>) -> Table {
     table
 }
 
-fn summary(comparison: &Comparison, names: &[String]) -> Table {
+fn summary(comparison: &Comparison, recording: &RecordingResult, names: &[String]) -> Table {
     let costs = &comparison.settings.costs;
     let mut rows = Vec::new();
-    for (tree, name) in comparison.trees.iter().zip(names) {
-        for (run, first) in tree.runs.iter().zip(&comparison.trees[0].runs) {
+    for (tree, name) in recording.trees.iter().zip(names) {
+        for (run, first) in tree.runs.iter().zip(&recording.trees[0].runs) {
             let total = &run.outcome.tallies.total;
             let per_query = |sum: u64| format!("{:.2}", mean(sum, total.queries));
             rows.push(vec![
@@ -84,7 +142,7 @@ fn summary(comparison: &Comparison, names: &[String]) -> Table {
                 per_query(total.counts.box_tests),
                 per_query(total.counts.node_visits),
                 per_query(total.counts.primitive_tests),
-                format!("{:.2}", costs.gamma(total) / total.queries as f64),
+                format!("{:.2}", costs.gamma(&total.counts) / total.queries as f64),
                 format!("{:.3}", comparison.ratio(total, &first.outcome.tallies.total)),
                 format!("{:.2}", total.seconds * 1e6 / total.queries as f64),
                 total.mismatches.to_string(),
@@ -96,35 +154,70 @@ fn summary(comparison: &Comparison, names: &[String]) -> Table {
     table(&header, 2, rows)
 }
 
-fn trees(comparison: &Comparison, names: &[String]) -> Table {
+fn trees(comparison: &Comparison, recording: &RecordingResult, names: &[String]) -> Table {
     let costs = &comparison.settings.costs;
-    let first_gamma = comparison.trees[0].gamma(costs);
-    let row = |(tree, name): (&crate::compare::TreeResult, &String)| {
-        let statistics = &tree.statistics;
+    let first_gamma = recording.trees[0].gamma(costs);
+    let mut rows = Vec::new();
+    for ((facts, tree), name) in comparison.trees.iter().zip(&recording.trees).zip(names) {
+        let statistics = &facts.statistics;
         let gamma = tree.gamma(costs);
-        vec![
+        rows.push(vec![
             name.clone(),
             grouped(statistics.nodes as u64),
             grouped(statistics.leaves as u64),
             statistics.depth.to_string(),
             statistics.max_children.to_string(),
-            format!("{:.2}", tree.sah_cost),
-            grouped(tree.t_r()),
-            format!("{gamma:.4e}"),
+            format!("{:.2}", facts.sah_cost),
+            format!("{:.3}", facts.epo),
+            format!("{:.2}", tree.leaf_count_variability()),
+            format!("{:.4e}", tree.t_r() as f64),
+            format!("{gamma:.3e}"),
             format!("{:.3}", relative(gamma, first_gamma)),
-        ]
-    };
-    let rows = comparison.trees.iter().zip(names).map(row).collect();
-    table(&["Tree", "nodes", "leaves", "depth", "width", "SAH", "T_R", "Γ_R", "ratio"], 1, rows)
+        ]);
+    }
+    let header = ["Tree", "nodes", "leaves", "depth", "width", "SAH", "EPO", "LCV", "T_R", "Γ_R", "ratio"];
+    table(&header, 1, rows)
+}
+
+/// Levels of the tree in a row: the last one stands for all below.
+const LEVELS_SHOWN: usize = 16;
+
+/// Tests by level, where they were counted; the cache lines in the last row.
+fn levels(recording: &RecordingResult, names: &[String], run: usize) -> Option<Table> {
+    let mut rows = Vec::new();
+    for (tree, name) in recording.trees.iter().zip(names) {
+        let outcome = &tree.runs[run].outcome;
+        let queries = outcome.tallies.total.queries;
+        let profile = outcome.profile.as_ref()?;
+        let deepest = profile.levels.len() - 1;
+        for level in 0..=deepest.min(LEVELS_SHOWN - 1) {
+            let last = level + 1 == LEVELS_SHOWN && level < deepest;
+            let range = if last { level..=deepest } else { level..=level };
+            let counts = profile.levels[range].iter().fold(Counts::default(), |mut sum, counts| {
+                sum += *counts;
+                sum
+            });
+            rows.push(vec![
+                if level == 0 { name.clone() } else { String::new() },
+                format!("{level}{}", if last { " and below" } else { "" }),
+                format!("{:.3}", mean(counts.box_tests, queries)),
+                format!("{:.3}", mean(counts.node_visits, queries)),
+                format!("{:.3}", mean(counts.primitive_tests, queries)),
+            ]);
+        }
+        let lines = format!("{:.2}", mean(profile.cache_lines, queries));
+        rows.push(vec![String::new(), "cache lines".to_owned(), lines, String::new(), String::new()]);
+    }
+    Some(table(&["Tree", "level", "boxes", "visits", "prims"], 2, rows))
 }
 
 /// Depths beyond this stand in JSON and CSV only.
 const DEPTHS_SHOWN: usize = 8;
 
-fn breakdown(comparison: &Comparison, names: &[String], run: usize) -> Table {
+fn breakdown(comparison: &Comparison, recording: &RecordingResult, names: &[String], run: usize) -> Table {
     let costs = &comparison.settings.costs;
     let tallies: Vec<_> =
-        comparison.trees.iter().map(|tree| groups(&tree.runs[run].outcome.tallies)).collect();
+        recording.trees.iter().map(|tree| groups(&tree.runs[run].outcome.tallies)).collect();
     let mut rows = Vec::new();
     let mut depths = 0;
     // Every tree sees the same queries, so all have the same groups.
@@ -137,13 +230,9 @@ fn breakdown(comparison: &Comparison, names: &[String], run: usize) -> Table {
         for (groups, name) in tallies.iter().zip(names) {
             let Some(group) = groups.get(index) else { continue };
             let tally = group.tally;
-            let title = match group.by {
-                "depth" => format!("depth {}", group.name),
-                _ => group.name.replace('_', " "),
-            };
             let is_first = std::ptr::eq(groups, &tallies[0]);
             rows.push(vec![
-                if is_first { title } else { String::new() },
+                if is_first { group.title() } else { String::new() },
                 name.clone(),
                 if is_first { grouped(tally.queries) } else { String::new() },
                 format!("{:.1}", mean(tally.counts.box_tests, tally.queries)),
@@ -151,36 +240,11 @@ fn breakdown(comparison: &Comparison, names: &[String], run: usize) -> Table {
                 tally.box_tests.quantile(0.99).to_string(),
                 format!("{:.1}", mean(tally.counts.node_visits, tally.queries)),
                 format!("{:.2}", mean(tally.counts.primitive_tests, tally.queries)),
-                format!("{:.2}", costs.gamma(tally) / tally.queries.max(1) as f64),
+                format!("{:.2}", costs.gamma(&tally.counts) / tally.queries.max(1) as f64),
                 format!("{:.3}", comparison.ratio(tally, first.tally)),
             ]);
         }
     }
     let header = ["Queries", "Tree", "count", "boxes", "median", "p99", "visits", "prims", "Γ", "ratio"];
     table(&header, 2, rows)
-}
-
-/// 1234567 as 1,234,567.
-fn grouped(number: u64) -> String {
-    let digits = number.to_string();
-    let mut text = String::new();
-    for (index, digit) in digits.chars().enumerate() {
-        if index > 0 && (digits.len() - index).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn numbers_are_grouped_by_thousands() {
-        for (number, text) in [(0, "0"), (999, "999"), (1000, "1,000"), (1234567, "1,234,567")] {
-            assert_eq!(grouped(number), text);
-        }
-    }
 }

@@ -17,7 +17,9 @@ pub struct Overlap {
     pub inner: u64,
     /// Children of those: Σ P_R(b) × children of b; 2 × `inner` in a binary tree.
     pub children: u64,
-    /// Primitives in leaves overlapped: Σ P_R(l) × primitives of l.
+    /// Leaves overlapped: Σ P_R(l).
+    pub leaves: u64,
+    /// Primitives in those: Σ P_R(l) × primitives of l.
     pub primitives: u64,
 }
 
@@ -30,6 +32,7 @@ impl Overlapped for Overlap {
 
     #[inline(always)]
     fn leaf(&mut self, leaf: &Link) {
+        self.leaves += 1;
         self.primitives += leaf.triangles().len() as u64;
     }
 }
@@ -38,6 +41,7 @@ impl std::ops::AddAssign for Overlap {
     fn add_assign(&mut self, other: Overlap) {
         self.inner += other.inner;
         self.children += other.children;
+        self.leaves += other.leaves;
         self.primitives += other.primitives;
     }
 }

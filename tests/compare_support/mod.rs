@@ -2,6 +2,7 @@
 //! double precision, written without a look at the code under test.
 #![allow(dead_code)] // Each test binary uses its part.
 
+pub mod cli;
 pub mod files;
 
 use embree_trace::geometry::{Aabb, DVec3, Ray, Triangle, Vec3};

@@ -1,0 +1,282 @@
+//! How long trees take, and Embree beside them: the same queries, without counting, on one pinned thread.
+//!
+//! Queries stay in the order of the file, but for blocks of `BLOCK` in which those of one kind, depth and purpose stand together: a *run*, the
+//! unit that is timed. All contenders take turns in every round, so that a machine that slows down slows all of them; the first round warms up
+//! and is dropped. What is reported of a time is its median over the rounds, and the least and the greatest.
+
+mod clock;
+#[cfg(feature = "embree")]
+mod embree;
+
+use super::fit::Observation;
+use super::{Candidate, CompareError, Recording, Settings};
+use crate::format::FormatError;
+use crate::format::rays::{Purpose, Rays, Record, Reject};
+use crate::geometry::Ray;
+use crate::replay::query::{Choice, Query};
+use crate::replay::tally::{Cell, cell};
+use crate::traverse::{Counts, OcclusionOrder, Prepared, Recorded, Scratch, Traversal};
+use std::collections::BTreeMap;
+use std::hint::black_box;
+use std::ops::Range;
+
+/// Queries of a recording that are timed at most: more of them only make the same medians slower.
+pub const MOST_QUERIES: u64 = 1 << 20;
+/// Queries that are sorted into runs at a time.
+const BLOCK: usize = 8192;
+/// Parts of a recording whose queries of one cell are a group for [`super::fit`]: large enough that the clock's noise averages out.
+const PARTS: usize = 16;
+
+/// A time in seconds over the rounds.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Seconds {
+    pub median: f64,
+    pub least: f64,
+    pub greatest: f64,
+}
+
+impl Seconds {
+    fn of(mut rounds: Vec<f64>) -> Seconds {
+        rounds.sort_by(f64::total_cmp);
+        let middle = rounds.len() / 2;
+        let median = match rounds.len() {
+            0 => return Seconds::default(),
+            count if count % 2 == 1 => rounds[middle],
+            _ => (rounds[middle - 1] + rounds[middle]) / 2.0,
+        };
+        Seconds { median, least: rounds[0], greatest: rounds[rounds.len() - 1] }
+    }
+}
+
+/// What one contender took for all timed queries.
+#[derive(Clone, Debug, Default)]
+pub struct Time {
+    pub total: Seconds,
+    pub by_kind: BTreeMap<u8, Seconds>,
+    pub by_purpose: BTreeMap<Purpose, Seconds>,
+    /// Counts of groups of queries, with their median times; none for Embree, whose counts nobody knows.
+    pub observations: Vec<Observation>,
+}
+
+/// Embree's own answers to the timed queries.
+#[derive(Clone, Debug)]
+pub struct EmbreeTime {
+    pub time: Time,
+    /// Queries for which it does not say hit or miss as recorded: filters and masks are not part of its scene here.
+    pub differing: u64,
+    /// 31305 for 3.13.5.
+    pub version: u32,
+}
+
+/// What was measured over one recording.
+#[derive(Clone, Debug)]
+pub struct Timing {
+    pub queries: u64,
+    pub by_kind: BTreeMap<u8, u64>,
+    pub by_purpose: BTreeMap<Purpose, u64>,
+    pub rounds: u32,
+    /// Number of the processor; `None` when the thread could not be pinned.
+    pub processor: Option<usize>,
+    /// By tree, then by traversal, as in the comparison.
+    pub trees: Vec<Vec<Time>>,
+    /// Without the feature `embree`, or when Embree refused the scene, `None`.
+    pub embree: Option<EmbreeTime>,
+}
+
+/// Timed queries, which no chunk of a file has to stay in memory for.
+struct Queries {
+    list: Vec<(Record, Ray, Range<usize>)>,
+    rejects: Vec<Reject>,
+    /// Queries of one cell that stand together.
+    runs: Vec<(Cell, Range<usize>)>,
+}
+
+impl Queries {
+    fn read(rays: &Rays, choice: &Choice) -> Result<Queries, FormatError> {
+        let sample = choice.sample.unwrap_or(u64::MAX).min(MOST_QUERIES);
+        let choice = Choice { sample: Some(sample), ..choice.clone() };
+        let mut queries = Queries { list: Vec::new(), rejects: Vec::new(), runs: Vec::new() };
+        choice.for_each_chunk(rays, |chosen| {
+            for query in chosen {
+                let start = queries.rejects.len();
+                queries.rejects.extend(query.candidates.rejects);
+                queries.list.push((*query.record, query.ray, start..queries.rejects.len()));
+            }
+        })?;
+        for block in queries.list.chunks_mut(BLOCK) {
+            block.sort_by_key(|(record, ..)| cell(record));
+        }
+        for start in (0..queries.list.len()).step_by(BLOCK) {
+            let block = &queries.list[start..queries.list.len().min(start + BLOCK)];
+            let mut first = start;
+            for run in block.chunk_by(|a, b| cell(&a.0) == cell(&b.0)) {
+                queries.runs.push((cell(&run[0].0), first..first + run.len()));
+                first += run.len();
+            }
+        }
+        Ok(queries)
+    }
+
+    /// The queries of one run; they have lost their numbers, which nothing here needs.
+    fn run(&self, range: &Range<usize>) -> impl Iterator<Item = Query<'_>> {
+        self.list[range.clone()].iter().map(|(record, ray, rejects)| Query {
+            number: 0,
+            record,
+            ray: *ray,
+            candidates: Recorded { mask: record.mask, rejects: &self.rejects[rejects.clone()] },
+        })
+    }
+
+    fn count<K: Ord>(&self, key: impl Fn(&Cell) -> K) -> BTreeMap<K, u64> {
+        let mut counts = BTreeMap::new();
+        for (cell, run) in &self.runs {
+            *counts.entry(key(cell)).or_insert(0) += run.len() as u64;
+        }
+        counts
+    }
+
+    /// Sums up what a contender took: `rounds` by round, then by run.
+    fn time(&self, rounds: &[Vec<f64>]) -> Time {
+        let sum = |round: &Vec<f64>, wanted: &dyn Fn(&Cell) -> bool| -> f64 {
+            self.runs
+                .iter()
+                .zip(round)
+                .filter(|((cell, _), _)| wanted(cell))
+                .map(|(_, seconds)| seconds)
+                .sum()
+        };
+        let seconds = |wanted: &dyn Fn(&Cell) -> bool| {
+            Seconds::of(rounds.iter().map(|round| sum(round, wanted)).collect())
+        };
+        let by_kind = self.count(|cell| cell.0).into_keys();
+        let by_purpose = self.count(|cell| cell.2).into_keys();
+        Time {
+            total: seconds(&|_| true),
+            by_kind: by_kind.map(|kind| (kind, seconds(&|cell| cell.0 == kind))).collect(),
+            by_purpose: by_purpose.map(|purpose| (purpose, seconds(&|cell| cell.2 == purpose))).collect(),
+            observations: Vec::new(),
+        }
+    }
+}
+
+/// One tree under one traversal.
+struct Contender<'a> {
+    prepared: &'a Prepared,
+    traversal: Traversal,
+    order: &'a OcclusionOrder,
+}
+
+impl Contender<'_> {
+    /// Seconds of each run.
+    fn round(&self, queries: &Queries, scratch: &mut Scratch) -> Vec<f64> {
+        let timed = |(_, range): &(Cell, Range<usize>)| {
+            let start = clock::thread_seconds();
+            for query in queries.run(range) {
+                black_box(query.ask(self.prepared, self.traversal, self.order, &mut (), scratch));
+            }
+            clock::thread_seconds() - start
+        };
+        queries.runs.iter().map(timed).collect()
+    }
+
+    /// Counts and times of groups: the runs of one cell in each part of the recording.
+    fn observations(
+        &self,
+        queries: &Queries,
+        rounds: &[Vec<f64>],
+        scratch: &mut Scratch,
+    ) -> Vec<Observation> {
+        let mut groups: BTreeMap<(usize, Cell), (Observation, Vec<f64>)> = BTreeMap::new();
+        for (number, (cell, range)) in queries.runs.iter().enumerate() {
+            let mut counts = Counts::default();
+            for query in queries.run(range) {
+                query.ask(self.prepared, self.traversal, self.order, &mut counts, scratch);
+            }
+            let part = range.start * PARTS / queries.list.len();
+            let (group, seconds) = groups.entry((part, *cell)).or_default();
+            group.queries += range.len() as u64;
+            group.node_visits += counts.node_visits;
+            group.box_tests += counts.box_tests;
+            group.primitive_tests += counts.primitive_tests;
+            seconds.resize(rounds.len(), 0.0);
+            seconds.iter_mut().zip(rounds).for_each(|(sum, round)| *sum += round[number]);
+        }
+        let median = |(group, seconds)| Observation { seconds: Seconds::of(seconds).median, ..group };
+        groups.into_values().map(median).collect()
+    }
+}
+
+/// Times every tree and traversal, and Embree, over every recording, `rounds` times after one that is dropped. All prepared trees are in
+/// memory at once. Takes a thread of its own, which it pins.
+///
+/// # Errors
+/// When a file is damaged.
+pub fn time(
+    trees: &[Candidate],
+    recordings: &[Recording],
+    settings: &Settings,
+    rounds: u32,
+) -> Result<Vec<Timing>, CompareError> {
+    let mut prepared = Vec::with_capacity(trees.len());
+    for Candidate { path, bvh } in trees {
+        let order = OcclusionOrder::new(settings.occlusion_order, bvh.tree, bvh.order)
+            .map_err(|source| CompareError::Order { path: path.clone(), source })?;
+        prepared.push((Prepared::new(bvh.tree, bvh.triangles, bvh.geometries), order));
+    }
+    #[cfg(feature = "embree")]
+    let embree = embree::Scene::of(trees[0].bvh);
+    let contenders: Vec<Contender> = prepared
+        .iter()
+        .flat_map(|(prepared, order)| {
+            settings.traversals.iter().map(move |&traversal| Contender { prepared, traversal, order })
+        })
+        .collect();
+    let measure = || {
+        let processor = clock::pin();
+        let mut timings = Vec::with_capacity(recordings.len());
+        for Recording { path, rays, .. } in recordings {
+            let queries = Queries::read(rays, &settings.choice)
+                .map_err(|source| CompareError::File { path: path.clone(), source })?;
+            let mut scratch = Scratch::default();
+            let mut taken = vec![Vec::new(); contenders.len()];
+            #[cfg(feature = "embree")]
+            let mut taken_by_embree = Vec::new();
+            for round in 0..=rounds {
+                for (contender, taken) in contenders.iter().zip(&mut taken) {
+                    let seconds = contender.round(&queries, &mut scratch);
+                    taken.extend((round > 0).then_some(seconds));
+                }
+                #[cfg(feature = "embree")]
+                if let Some(scene) = &embree {
+                    let seconds = scene.round(&queries);
+                    taken_by_embree.extend(seconds.filter(|_| round > 0));
+                }
+            }
+            let times: Vec<Time> = contenders
+                .iter()
+                .zip(&taken)
+                .map(|(contender, taken)| Time {
+                    observations: contender.observations(&queries, taken, &mut scratch),
+                    ..queries.time(taken)
+                })
+                .collect();
+            timings.push(Timing {
+                queries: queries.list.len() as u64,
+                by_kind: queries.count(|cell| cell.0),
+                by_purpose: queries.count(|cell| cell.2),
+                rounds,
+                processor,
+                trees: times.chunks(settings.traversals.len()).map(<[Time]>::to_vec).collect(),
+                #[cfg(feature = "embree")]
+                embree: embree.as_ref().and_then(|scene| scene.time(&queries, &taken_by_embree)),
+                #[cfg(not(feature = "embree"))]
+                embree: None,
+            });
+        }
+        Ok(timings)
+    };
+    std::thread::scope(|scope| match scope.spawn(measure).join() {
+        Ok(timings) => timings,
+        Err(panic) => std::panic::resume_unwind(panic),
+    })
+}

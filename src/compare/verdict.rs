@@ -1,0 +1,89 @@
+//! What a comparison has against its trees: wrong answers, broken identities, and costs above a limit.
+
+use super::{Comparison, RecordingResult, Run, kind_name};
+use crate::format::rays::{NO_DEPTH, NO_PATH, Purpose, Record};
+use crate::replay::Mismatch;
+use crate::replay::check::T_TOLERANCE;
+use crate::replay::pixels::ImageSize;
+use std::fmt::Write;
+
+impl Comparison {
+    /// Wrong answers and broken identities, a line each; none when all is well.
+    pub fn failures(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        for (recording, tree, results) in self.results() {
+            for Run { traversal, outcome } in &results.runs {
+                let name = format!("{}{}", traversal.name(), self.over(recording));
+                if let Some(first) = &outcome.mismatch {
+                    let wrong = outcome.tallies.total.mismatches;
+                    let told = describe(first, recording.image);
+                    lines.push(format!("{}: {name}: {wrong} wrong answers, first {told}", tree.path));
+                }
+                if let Some(query) = outcome.violation {
+                    lines.push(format!(
+                        "{}: {name}: box tests of query {query} are not those of T_R; please report this",
+                        tree.path
+                    ));
+                }
+            }
+        }
+        lines
+    }
+
+    /// Trees whose measured Γ under the first traversal exceeds `limit` times the first tree's, a line each.
+    pub fn above(&self, limit: f64) -> Vec<String> {
+        let mut lines = Vec::new();
+        for (recording, tree, results) in self.results() {
+            let base = &recording.trees[0].runs[0];
+            let ratio = self.ratio(&results.runs[0].outcome.tallies.total, &base.outcome.tallies.total);
+            if ratio > limit {
+                let name = format!("{}{}", base.traversal.name(), self.over(recording));
+                let first = &self.trees[0].path;
+                lines.push(format!(
+                    "{}: cost under {name} is {ratio:.4} of {first}'s, above {limit}",
+                    tree.path
+                ));
+            }
+        }
+        lines
+    }
+
+    /// Which recording, where there are several.
+    fn over(&self, recording: &RecordingResult) -> String {
+        if self.recordings.len() > 1 { format!(" over {}", recording.path) } else { String::new() }
+    }
+}
+
+/// The query, what was recorded and what was found, in one line.
+fn describe(mismatch: &Mismatch, image: Option<ImageSize>) -> String {
+    let Mismatch { query, record, found } = mismatch;
+    let mut text =
+        format!("query {query} ({}, {}", kind_name(record.kind), Purpose::from_byte(record.purpose).name());
+    // Writing to a String cannot fail.
+    let _ = match image.and_then(|image| image.pixel(record.path)) {
+        _ if record.path == NO_PATH => Ok(()),
+        Some((x, y)) => write!(text, ", pixel {x},{y}"),
+        None => write!(text, ", path {}", record.path),
+    };
+    if record.depth != NO_DEPTH {
+        let _ = write!(text, ", depth {}", record.depth);
+    }
+    let recorded = recorded_answer(record);
+    let found = match (found, record.is_occlusion()) {
+        (None, true) => "not occluded".to_owned(),
+        (None, false) => "a miss".to_owned(),
+        (Some(hit), true) => format!("occluded by triangle {} at t {}", hit.triangle, hit.t),
+        (Some(hit), false) => format!("triangle {} at t {}", hit.triangle, hit.t),
+    };
+    let _ = write!(text, "): recorded {recorded}, found {found} (tolerance {T_TOLERANCE:e})");
+    text
+}
+
+fn recorded_answer(record: &Record) -> String {
+    match (record.is_occlusion(), record.is_hit()) {
+        (true, true) => "occluded".to_owned(),
+        (true, false) => "not occluded".to_owned(),
+        (false, true) => format!("triangle {} at t {}", record.triangle, record.t),
+        (false, false) => "a miss".to_owned(),
+    }
+}

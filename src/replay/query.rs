@@ -1,0 +1,119 @@
+//! Recorded queries as they are asked again: which of them, with what ray, among which triangles.
+
+use super::select::{Filter, Portion, Sample};
+use crate::format::FormatError;
+use crate::format::rays::{Chunk, Rays, Record, Reject, flag};
+use crate::geometry::Ray;
+use crate::traverse::{Hit, Observer, OcclusionOrder, Prepared, PreparedRay, Recorded, Scratch, Traversal};
+use std::ops::Range;
+
+/// Which queries of a file.
+#[derive(Clone, Debug)]
+pub struct Choice {
+    /// Only queries of this scene number ([`crate::format::rays::ChunkInfo::scene`]).
+    pub scene: u16,
+    pub filter: Filter,
+    /// Leave out the queries that this portion trains with.
+    pub held_out: Option<Portion>,
+    /// Only so many, spread over the file; before the filter.
+    pub sample: Option<u64>,
+}
+
+/// A chosen query.
+#[derive(Clone, Copy, Debug)]
+pub struct Query<'a> {
+    /// Of the query in the file.
+    pub number: u64,
+    pub record: &'a Record,
+    pub ray: Ray,
+    pub candidates: Recorded<'a>,
+}
+
+impl Choice {
+    /// The sample of a file of so many queries; `None` when all of them are wanted.
+    pub fn sample_of(&self, queries: u64) -> Option<Sample> {
+        self.sample.and_then(|size| Sample::new(size, queries))
+    }
+
+    /// The chosen ones among the records `range` of `chunk`, whose first record has the number `start` in the file.
+    pub fn within<'c>(
+        &self,
+        chunk: &'c Chunk,
+        start: u64,
+        range: Range<usize>,
+        sample: Option<Sample>,
+    ) -> Vec<Query<'c>> {
+        if chunk.info.scene != self.scene {
+            return Vec::new();
+        }
+        let whole = start + range.start as u64..start + range.end as u64;
+        let query = |number| self.query(chunk, start, number);
+        match sample {
+            None => whole.filter_map(query).collect(),
+            Some(sample) => sample.within(whole).filter_map(query).collect(),
+        }
+    }
+
+    fn query<'c>(&self, chunk: &'c Chunk, start: u64, number: u64) -> Option<Query<'c>> {
+        let index = (number - start) as usize;
+        let record = &chunk.records[index];
+        let trained = |portion: &Portion| portion.trains(record, number);
+        if !self.filter.accepts(record) || self.held_out.as_ref().is_some_and(trained) {
+            return None;
+        }
+        let rejects = if record.flags & flag::HAS_REJECTS != 0 {
+            rejects_of(&chunk.rejects, index as u32)
+        } else {
+            &[]
+        };
+        let mut ray = record.ray();
+        // Something that is not a triangle ended the ray: no triangle is hit before it.
+        if record.flags & flag::NOT_A_TRIANGLE != 0 && record.is_hit() && !record.is_occlusion() {
+            ray.tfar = ray.tfar.min(record.t);
+        }
+        Some(Query { number, record, ray, candidates: Recorded { mask: record.mask, rejects } })
+    }
+
+    /// Calls `visit` with the chosen queries of `rays`, a chunk's at a time, in the order of the file.
+    ///
+    /// # Errors
+    /// When a chunk is damaged.
+    pub fn for_each_chunk(&self, rays: &Rays, mut visit: impl FnMut(&[Query])) -> Result<(), FormatError> {
+        let sample = self.sample_of(rays.query_count());
+        let mut start = 0;
+        for number in 0..rays.chunks().len() {
+            let chunk = rays.chunk(number)?;
+            visit(&self.within(&chunk, start, 0..chunk.records.len(), sample));
+            start += chunk.records.len() as u64;
+        }
+        Ok(())
+    }
+}
+
+/// The rejects of one record; they are sorted by record.
+fn rejects_of(rejects: &[Reject], record: u32) -> &[Reject] {
+    let start = rejects.partition_point(|reject| reject.record < record);
+    let count = rejects[start..].partition_point(|reject| reject.record == record);
+    &rejects[start..start + count]
+}
+
+impl Query<'_> {
+    /// Asks `prepared`; `order` is for depth-first occlusion queries.
+    #[inline]
+    pub fn ask(
+        &self,
+        prepared: &Prepared,
+        traversal: Traversal,
+        order: &OcclusionOrder,
+        observer: &mut impl Observer,
+        scratch: &mut Scratch,
+    ) -> Option<Hit> {
+        let ray = PreparedRay::new(&self.ray);
+        let candidates = &self.candidates;
+        match (self.record.is_occlusion(), traversal) {
+            (false, _) => prepared.closest_hit(traversal, &ray, candidates, observer, scratch),
+            (true, Traversal::RayOrder) => prepared.occluder(traversal, &ray, candidates, observer, scratch),
+            (true, Traversal::Odf) => prepared.occluder_in(order, &ray, candidates, observer, scratch),
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! The tables of a page. Each scrolls by itself where the screen is narrow, and can be reached with the keyboard.
+
+use super::super::{Group, gamma_quantile, grouped, groups, mean, tree_names};
+use super::chart::short;
+use crate::compare::{Comparison, RecordingResult, relative};
+use maud::{Markup, html};
+
+/// What the columns' abbreviations mean, as tooltips.
+fn meaning(column: &str) -> Option<&'static str> {
+    Some(match column {
+        "boxes" => "Box tests per query: one ray against one child box, the root's included",
+        "visits" => "Node visits per query: inner nodes whose children were tested",
+        "primitives" => "Primitive tests per query: one ray against one triangle",
+        "Γ" => "c_I · box tests + c_P · primitive tests, per query",
+        "median Γ" | "p99 Γ" => "Half, or 99%, of the queries cost no more; to within 1/16",
+        "ratio" => "Relative to the first tree",
+        "µs" => "Per query on one thread, with counting",
+        "wrong" => "Answers that are not the recorded one, and cannot be right",
+        "borderline" => "Queries that graze an edge or a plane, so that two answers are right",
+        "lines" => {
+            "Distinct cache lines of 64 bytes read per query: nodes of 32 bytes, triangles of 36 in leaf order"
+        }
+        "SAH" => "SAH cost: Σ area/root area · (c_I · children, or c_P · primitives)",
+        "EPO" => "End-point overlap: cost of nodes that hold surface of other nodes, by its area",
+        "LCV" => {
+            "Leaf count variability: standard deviation of the leaves that a query's effective segment overlaps"
+        }
+        "T_R" => "Inner nodes that effective segments overlap, over all queries",
+        "Γ_R" => "Γ of strict front-to-back order over all effective segments",
+        _ => return None,
+    })
+}
+
+/// A table in a region of its own; columns up to `text` are text.
+pub fn table(caption: &str, header: &[&str], text: usize, body: Markup) -> Markup {
+    html! {
+        div.scroll role="region" aria-label=(caption) tabindex="0" {
+            table {
+                caption { (caption) }
+                thead {
+                    tr {
+                        @for (index, column) in header.iter().enumerate() {
+                            th.text[index < text] scope="col" {
+                                @if let Some(meaning) = meaning(column) { abbr title=(meaning) { (column) } } @else { (column) }
+                            }
+                        }
+                    }
+                }
+                (body)
+            }
+        }
+    }
+}
+
+/// A ratio with a mark that does without colour.
+pub fn ratio(value: f64) -> Markup {
+    html! {
+        @if value < 0.9995 { span.better { "▼ " (format!("{value:.3}")) } }
+        @else if value > 1.0005 { span.worse { "▲ " (format!("{value:.3}")) } }
+        @else { (format!("{value:.3}")) }
+    }
+}
+
+fn wrong(count: u64) -> Markup {
+    html! { @if count > 0 { span.wrong { (grouped(count)) } } @else { "0" } }
+}
+
+/// One row per tree: what it is without any ray.
+pub fn trees(comparison: &Comparison) -> Markup {
+    let header = [
+        "Tree",
+        "triangles",
+        "nodes",
+        "leaves",
+        "depth",
+        "width",
+        "largest leaf",
+        "SAH",
+        "EPO",
+        "occlusion order",
+    ];
+    let body = html! {
+        tbody {
+            @for (tree, name) in comparison.trees.iter().zip(tree_names(comparison)) {
+                @let statistics = &tree.statistics;
+                tr {
+                    th scope="row" { (name) }
+                    @for count in [tree.triangles, statistics.nodes, statistics.leaves, statistics.depth] {
+                        td { (grouped(count as u64)) }
+                    }
+                    td { (statistics.max_children) }
+                    td { (statistics.max_leaf) }
+                    td { (format!("{:.2}", tree.sah_cost)) }
+                    td { (format!("{:.3}", tree.epo)) }
+                    td { (tree.occlusion_order.key()) }
+                }
+            }
+        }
+    };
+    table("The trees, without any ray", &header, 1, body)
+}
+
+/// What each tree costs over one recording, by traversal.
+pub fn summary(comparison: &Comparison, recording: &RecordingResult) -> Markup {
+    let costs = &comparison.settings.costs;
+    let names = tree_names(comparison);
+    let lines = recording.trees[0].runs[0].outcome.profile.is_some();
+    let mut header =
+        vec!["Order", "Tree", "boxes", "visits", "primitives", "Γ", "median Γ", "p99 Γ", "ratio", "µs"];
+    header.extend(lines.then_some("lines"));
+    header.extend(["wrong", "borderline"]);
+    let body = html! {
+        @for (index, traversal) in comparison.settings.traversals.iter().enumerate() {
+            tbody {
+                @for ((tree, name), number) in recording.trees.iter().zip(&names).zip(0..) {
+                    @let outcome = &tree.runs[index].outcome;
+                    @let total = &outcome.tallies.total;
+                    @let first = &recording.trees[0].runs[index].outcome.tallies.total;
+                    tr {
+                        @if number == 0 { th scope="rowgroup" rowspan=(names.len()) { (traversal.name()) } }
+                        th scope="row" { (name) }
+                        @for sum in [total.counts.box_tests, total.counts.node_visits, total.counts.primitive_tests] {
+                            td { (format!("{:.2}", mean(sum, total.queries))) }
+                        }
+                        td { (format!("{:.2}", costs.gamma(&total.counts) / total.queries as f64)) }
+                        td { (format!("{:.1}", gamma_quantile(total, 0.5))) }
+                        td { (format!("{:.1}", gamma_quantile(total, 0.99))) }
+                        td { (ratio(comparison.ratio(total, first))) }
+                        td { (format!("{:.2}", total.seconds * 1e6 / total.queries as f64)) }
+                        @if let Some(profile) = &outcome.profile { td { (format!("{:.1}", mean(profile.cache_lines, total.queries))) } }
+                        td { (wrong(total.mismatches)) }
+                        td { (grouped(total.borderline)) }
+                    }
+                }
+            }
+        }
+    };
+    table("Cost per query", &header, 2, body)
+}
+
+/// What the trees have to do for the recording's effective segments, whatever the order.
+pub fn segments(comparison: &Comparison, recording: &RecordingResult) -> Markup {
+    let costs = &comparison.settings.costs;
+    let first = recording.trees[0].gamma(costs);
+    let body = html! {
+        tbody {
+            @for (tree, name) in recording.trees.iter().zip(tree_names(comparison)) {
+                @let gamma = tree.gamma(costs);
+                tr {
+                    th scope="row" { (name) }
+                    td { (grouped(tree.t_r())) }
+                    td { (short(gamma)) }
+                    td { (ratio(relative(gamma, first))) }
+                    td { (format!("{:.2}", tree.leaf_count_variability())) }
+                }
+            }
+        }
+    };
+    table("What effective segments overlap", &["Tree", "T_R", "Γ_R", "ratio", "LCV"], 1, body)
+}
+
+/// Every group of queries under one traversal, the total left out.
+pub fn breakdown(comparison: &Comparison, recording: &RecordingResult, run: usize) -> Markup {
+    let costs = &comparison.settings.costs;
+    let names = tree_names(comparison);
+    let tallies: Vec<Vec<Group>> =
+        recording.trees.iter().map(|tree| groups(&tree.runs[run].outcome.tallies)).collect();
+    let header = [
+        "Queries",
+        "Tree",
+        "count",
+        "boxes",
+        "visits",
+        "primitives",
+        "Γ",
+        "median Γ",
+        "p99 Γ",
+        "ratio",
+        "wrong",
+    ];
+    let body = html! {
+        // Every tree sees the same queries, so all have the same groups.
+        @for (index, first) in tallies[0].iter().enumerate().skip(1) {
+            tbody {
+                @for ((groups, name), number) in tallies.iter().zip(&names).zip(0..) {
+                    @let tally = groups[index].tally;
+                    @let queries = tally.queries;
+                    tr {
+                        @if number == 0 { th scope="rowgroup" rowspan=(names.len()) { (first.title()) } }
+                        th scope="row" { (name) }
+                        td { @if number == 0 { (grouped(queries)) } }
+                        @for sum in [tally.counts.box_tests, tally.counts.node_visits, tally.counts.primitive_tests] {
+                            td { (format!("{:.2}", mean(sum, queries))) }
+                        }
+                        td { (format!("{:.2}", costs.gamma(&tally.counts) / queries.max(1) as f64)) }
+                        td { (format!("{:.1}", gamma_quantile(tally, 0.5))) }
+                        td { (format!("{:.1}", gamma_quantile(tally, 0.99))) }
+                        td { (ratio(comparison.ratio(tally, first.tally))) }
+                        td { (wrong(tally.mismatches)) }
+                    }
+                }
+            }
+        }
+    };
+    let caption = format!("By kind, depth and purpose, {}", comparison.settings.traversals[run].name());
+    table(&caption, &header, 2, body)
+}
