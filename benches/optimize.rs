@@ -8,7 +8,7 @@ use embree_trace::builder::{self, Splits};
 use embree_trace::geometry::{Ray, Triangle};
 use embree_trace::mesh::{self, generate};
 use embree_trace::optimize::measure::{AreaMeasure, Estimate, Measure, RayMeasure};
-use embree_trace::optimize::reinsertion::{self, Search};
+use embree_trace::optimize::reinsertion;
 use embree_trace::optimize::{Config, Stage, rotations, run};
 use embree_trace::progress::Progress;
 use embree_trace::tree::Tree;
@@ -52,12 +52,11 @@ fn optimisers(c: &mut Criterion) {
         let area = AreaMeasure::new(&scene);
         let seen = RayMeasure::new(&rays(&triangles), Estimate::default(), &scene);
         let climb = Stage::Rotations(rotations::Config::default());
-        let reinsert = reinsertion::Config { batches: 1, ..Default::default() };
-        let by_area = reinsertion::Config { search: Search::Area { places: 4 }, ..reinsert };
+        let reinsert = Stage::Reinsertion(reinsertion::Config::default());
         let mut group = c.benchmark_group(format!("optimize/{name}"));
         group.sample_size(10);
         let mut measured = |what: &str, stage: Stage, rays: bool| {
-            let config = Config { stages: vec![stage] };
+            let config = Config { stages: vec![stage], deadline: None };
             group.bench_function(what, |b| {
                 let work = |mut tree: Tree| {
                     if rays {
@@ -72,8 +71,8 @@ fn optimisers(c: &mut Criterion) {
         };
         measured("rotations, area", climb, false);
         measured("rotations, rays", climb, true);
-        measured("reinsertion once, area", Stage::Reinsertion(reinsert), false);
-        measured("reinsertion once, rays, places by area", Stage::Reinsertion(by_area), true);
+        measured("reinsertion, area", reinsert, false);
+        measured("reinsertion, rays", reinsert, true);
         group.finish();
     }
 }

@@ -15,7 +15,8 @@
 //! | [`insertion`] | children of inefficient nodes to their best places | Bittner, Hapala and Havran 2013 |
 //! | [`reinsertion`] | every subtree to its best place, many at a time | Meister and Bittner 2018 |
 //!
-//! All of them give the same tree, byte for byte, for any number of threads. Limits are counted in boxes tested, never in seconds.
+//! All of them give the same tree, byte for byte, for any number of threads, unless a deadline ends them: the limits of the stages are counted
+//! in boxes tested. Whenever they end, the tree is no worse than before.
 
 pub mod annealing;
 #[cfg(test)]
@@ -34,6 +35,7 @@ use crate::builder::MAX_DEPTH;
 use crate::progress::Progress;
 use crate::tree::Tree;
 use measure::Measure;
+use std::time::Instant;
 use thiserror::Error;
 use working::Working;
 
@@ -62,13 +64,16 @@ impl Stage {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Config {
     pub stages: Vec<Stage>,
+    /// When to stop, finished or not. Two runs with a deadline may give different trees.
+    pub deadline: Option<Instant>,
 }
 
 impl Default for Config {
     /// Rotations, which are quick, then reinsertion, which goes further.
     fn default() -> Config {
         let rotations = Stage::Rotations(rotations::Config::default());
-        Config { stages: vec![rotations, Stage::Reinsertion(reinsertion::Config::default())] }
+        let reinsertion = Stage::Reinsertion(reinsertion::Config::default());
+        Config { stages: vec![rotations, reinsertion], deadline: None }
     }
 }
 
@@ -124,6 +129,7 @@ pub fn run<M: Measure>(
 ) -> Result<Report, OptimizeError> {
     check(tree, config)?;
     let mut working = Working::new(tree, measure);
+    working.deadline = config.deadline;
     let before = working.cost();
     let limit = working.depth().max(MAX_DEPTH);
     let mut stages = Vec::with_capacity(config.stages.len());

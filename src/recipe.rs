@@ -15,6 +15,7 @@ use crate::probability::rays::{Count, RaySet, Rays};
 use crate::progress::Progress;
 use crate::tree::Tree;
 use serde_json::{Value, json};
+use std::time::{Duration, Instant};
 use thiserror::Error;
 
 /// How likely a box is taken to be hit.
@@ -51,6 +52,8 @@ pub struct Recipe {
     pub builder: builder::Config,
     /// Optimisers, one after another; none leaves the greedy tree.
     pub stages: Vec<Stage>,
+    /// Time for everything: optimisers stop when it is over (the greedy build is always finished). With it, two runs may give different trees.
+    pub budget: Option<Duration>,
 }
 
 /// A tree and what became of its cost.
@@ -105,6 +108,7 @@ impl Recipe {
         rays: &[Ray],
         progress: &Progress,
     ) -> Result<Made, RecipeError> {
+        let started = Instant::now();
         self.check()?;
         if triangles.len() > builder::MAX_TRIANGLES {
             return Err(BuildError::TooManyTriangles(triangles.len()).into());
@@ -114,7 +118,10 @@ impl Recipe {
         }
         let references = References::of(triangles);
         let bounds = references.bounds;
-        let stages = optimize::Config { stages: self.stages.clone() };
+        let stages = optimize::Config {
+            stages: self.stages.clone(),
+            deadline: self.budget.map(|budget| started + budget),
+        };
         let mut made = Made { tree: Tree::default(), optimized: None };
         let estimate = match self.heuristic {
             Heuristic::Sah => {
@@ -158,6 +165,9 @@ impl Recipe {
         }
         if !self.stages.is_empty() {
             meta["optimize"] = self.stages.iter().map(Stage::name).collect();
+            if let Some(budget) = self.budget {
+                meta["budget"] = json!(budget.as_secs_f64());
+            }
         }
         meta
     }

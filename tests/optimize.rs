@@ -6,7 +6,6 @@ use embree_trace::builder::exhaustive::optimum;
 use embree_trace::builder::{self, Bins, MAX_DEPTH, Splits};
 use embree_trace::geometry::{Aabb, Ray, Triangle, Vec3};
 use embree_trace::optimize::measure::{AreaMeasure, Estimate, Measure, RayMeasure};
-use embree_trace::optimize::reinsertion::Search;
 use embree_trace::optimize::{
     Config, OptimizeError, Report, Stage, annealing, insertion, reinsertion, rotations, run,
 };
@@ -21,20 +20,16 @@ fn configurations() -> Vec<Config> {
     let annealing = Stage::Annealing(annealing::Config { iterations: 60, ..Default::default() });
     let insertion = Stage::Insertion(insertion::Config { rounds: 20, share: 0.1, ..Default::default() });
     let reinsertion = Stage::Reinsertion(reinsertion::Config::default());
-    let by_area = Stage::Reinsertion(reinsertion::Config {
-        search: Search::Area { places: 4 },
-        share: 0.5,
-        ..Default::default()
-    });
+    let all = Stage::Reinsertion(reinsertion::Config { share: 1.0, ..Default::default() });
     let stages = [
         vec![rotations],
         vec![annealing],
         vec![insertion],
         vec![reinsertion],
-        vec![by_area],
-        vec![rotations, by_area, insertion],
+        vec![all],
+        vec![rotations, all, insertion],
     ];
-    stages.into_iter().map(|stages| Config { stages }).collect()
+    stages.into_iter().map(|stages| Config { stages, deadline: None }).collect()
 }
 
 fn build(triangles: &[Triangle], max_leaf: usize) -> Tree {
@@ -200,7 +195,8 @@ fn wide_trees_and_bad_numbers_are_refused() {
         Stage::Insertion(insertion::Config { share: -1.0, ..Default::default() }),
         Stage::Reinsertion(reinsertion::Config { share: f64::INFINITY, ..Default::default() }),
     ] {
-        let refused = run(&mut tree, &area, &Config { stages: vec![stage] }, &Progress::hidden());
+        let refused =
+            run(&mut tree, &area, &Config { stages: vec![stage], deadline: None }, &Progress::hidden());
         assert_eq!(refused, Err(OptimizeError::OutOfRange(stage.name())));
     }
 }

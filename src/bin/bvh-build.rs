@@ -21,7 +21,7 @@ use serde_json::{Value, json};
 use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Rebuild the tree of a .bvh from its triangles: a binary tree, greedy from the top, with surface area or recorded rays as
 /// the probability that a box is hit, and optimised afterwards when asked.
@@ -96,6 +96,10 @@ struct Arguments {
     /// Sweeps of annealing, rounds of insertion, batches of reinsertion; 0 is the default of each
     #[arg(long, default_value_t = 0, value_name = "N")]
     iterations: u32,
+    /// Optimisers stop after so many seconds from the start of the build. What they reach in a time differs from run to run: without this,
+    /// the same input gives the same tree
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    budget: Option<Duration>,
     /// Choose a traversal order for the occlusion queries of every node from the recorded ones, and store it (section ORDR);
     /// says what they cost in every order, on the training queries and on the others
     #[arg(long, requires = "rays")]
@@ -140,6 +144,11 @@ fn share(text: &str) -> Result<f64, String> {
     }
 }
 
+fn seconds(text: &str) -> Result<Duration, String> {
+    let seconds = text.parse::<f64>().ok().and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
+    seconds.ok_or_else(|| "expected a number of seconds, not negative".into())
+}
+
 impl Arguments {
     fn recipe(&self) -> Recipe {
         let kind = self.heuristic.unwrap_or(if self.rays.is_some() { Kind::Blend } else { Kind::Sah });
@@ -156,7 +165,8 @@ impl Arguments {
             c_i: self.ci,
             c_p: self.cp,
         };
-        Recipe { heuristic, builder, stages: self.optimize.iter().map(|&name| self.stage(name)).collect() }
+        let stages = self.optimize.iter().map(|&name| self.stage(name)).collect();
+        Recipe { heuristic, builder, stages, budget: self.budget }
     }
 
     fn stage(&self, optimizer: Optimizer) -> Stage {

@@ -81,7 +81,7 @@ fn sweep<M: Measure>(
     let (mut cost, mut best_cost) = (0.0, 0.0);
     let mut best = working.nodes.clone();
     for iteration in 0..config.iterations {
-        if work >= max_work {
+        if work >= max_work || working.out_of_time() {
             break;
         }
         let progress = iteration as f64 / (config.iterations - 1).max(1) as f64;

@@ -10,7 +10,7 @@
 use super::Step;
 use super::measure::Measure;
 use super::moves::{can_move, carry_out, plan, take_back};
-use super::search::{ByMeasure, Limits, places};
+use super::search::{Limits, place};
 use super::working::Working;
 use crate::random::Random;
 
@@ -50,7 +50,7 @@ pub fn insert<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<Step
     let mut at_random = false;
     for _ in 0..config.rounds {
         for node in picked(working, config, at_random.then_some(&mut random)) {
-            if work >= config.max_work {
+            if work >= config.max_work || working.out_of_time() {
                 break;
             }
             moves += dissolve(working, node, config, &mut work);
@@ -58,7 +58,7 @@ pub fn insert<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<Step
         let new = working.cost();
         steps.push(Step { cost: new, moves, work });
         let enough = new < cost * (1.0 - config.least_gain);
-        if (!enough && at_random) || work >= config.max_work {
+        if (!enough && at_random) || work >= config.max_work || working.out_of_time() {
             break;
         }
         at_random = !enough;
@@ -101,7 +101,7 @@ fn dissolve<M: Measure>(working: &mut Working<M>, node: u32, config: &Config, wo
     let (first, second) =
         if working.value(right) > working.value(left) { (right, left) } else { (left, right) };
     // The first may lose up to the node's P if the second makes up for it.
-    let mut limits = Limits { least_gain: -1.0, places: 1, work: config.search_work };
+    let mut limits = Limits { least_gain: -1.0, work: config.search_work };
     let Some((first_gain, undo)) = best_move(working, first, &limits, work) else { return 0 };
     limits.least_gain = 0.0;
     let second_move = best_move(working, second, &limits, work);
@@ -128,9 +128,9 @@ fn best_move<M: Measure>(
     if !can_move(working, node) {
         return None;
     }
-    let (places, tested) = places(working, &ByMeasure(working.measure), node, limits);
+    let (place, tested) = place(working, node, limits);
     *work += tested;
-    let plan = plan(working, node, places.first()?.target)?;
+    let plan = plan(working, node, place?.target)?;
     *work += plan.work;
     let gain = plan.gain;
     Some((gain, carry_out(working, plan)))

@@ -8,6 +8,7 @@ use super::segments::Segments;
 use crate::geometry::Ray;
 use crate::geometry::padded::PaddedAabb;
 use crate::probability::area::Area;
+use crate::random::Random;
 
 /// P of boxes. The root's is about 1, so that costs of different measures can be read side by side.
 pub trait Measure: Sync {
@@ -25,6 +26,22 @@ pub trait Measure: Sync {
 
     /// P of each of `boxes`, which lie inside the box that `outer` belongs to.
     fn values<const N: usize>(&self, outer: &Self::List, boxes: &[PaddedAabb; N]) -> [f64; N];
+
+    /// P of `bounds`, which lies inside the box that `outer` belongs to, when it is below `limit`; `None` as soon as it is known not to be.
+    /// Adds to `work`.
+    fn value_below(&self, outer: &Self::List, bounds: &PaddedAabb, limit: f64, work: &mut u64)
+    -> Option<f64>;
+
+    /// Whether P of `union`, the box around `node` and another box whose list is `moved`, can be below `limit`: cheaper to ask than
+    /// [`Self::value_below`], because `moved` is short. `list` is that of `node`.
+    fn can_be_below(
+        &self,
+        node: (&PaddedAabb, &Self::List),
+        moved: &Self::List,
+        union: &PaddedAabb,
+        limit: f64,
+        work: &mut u64,
+    ) -> bool;
 
     /// How many units of work one box costs that is tested against `list`.
     fn work(&self, list: &Self::List) -> u64;
@@ -70,6 +87,25 @@ impl Measure for AreaMeasure {
     }
 
     #[inline(always)]
+    fn value_below(&self, _outer: &(), bounds: &PaddedAabb, limit: f64, work: &mut u64) -> Option<f64> {
+        *work += 1;
+        let value = self.of(bounds);
+        (value < limit).then_some(value)
+    }
+
+    #[inline(always)]
+    fn can_be_below(
+        &self,
+        _node: (&PaddedAabb, &()),
+        _moved: &(),
+        _union: &PaddedAabb,
+        _limit: f64,
+        _work: &mut u64,
+    ) -> bool {
+        true
+    }
+
+    #[inline(always)]
     fn work(&self, _list: &()) -> u64 {
         1
     }
@@ -108,7 +144,13 @@ pub struct RayMeasure {
 impl RayMeasure {
     /// `rays` are effective segments. When none overlaps `scene`, area alone remains; when it has no area, the rays alone.
     pub fn new(rays: &[Ray], estimate: Estimate, scene: &PaddedAabb) -> RayMeasure {
-        let segments = Segments::new(rays);
+        // In an order that looks random, the first rays of every list are a sample of it, and counting can end early.
+        let mut rays = rays.to_vec();
+        let mut random = Random::new(0);
+        for place in (1..rays.len()).rev() {
+            rays.swap(place, random.below(place as u64 + 1) as usize);
+        }
+        let segments = Segments::new(&rays);
         let area = AreaMeasure::new(scene);
         let all: Vec<u32> = (0..segments.len() as u32).collect();
         let [root] = segments.count(&all, &[*scene]);
@@ -137,6 +179,22 @@ impl RayMeasure {
     }
 }
 
+impl RayMeasure {
+    /// The least number of rays for which P of `bounds` is not below `limit`.
+    fn rays_for(&self, bounds: &PaddedAabb, limit: f64) -> u32 {
+        let area = self.area.of(bounds);
+        let share = match self.estimate {
+            Estimate::Blend { weight } => (limit - (1.0 - weight) * area) / weight,
+            Estimate::Shrunk { strength } => {
+                let share = strength / self.root_rays;
+                limit * (area + share) / area - share
+            }
+        };
+        // A weight or an area of 0 gives NaN or infinity: `value_below` compares in any case. The conversion saturates.
+        if share.is_nan() { u32::MAX } else { (share * self.root_rays).ceil().max(0.0) as u32 }
+    }
+}
+
 impl Measure for RayMeasure {
     type List = Vec<u32>;
 
@@ -156,6 +214,30 @@ impl Measure for RayMeasure {
     fn values<const N: usize>(&self, outer: &Vec<u32>, boxes: &[PaddedAabb; N]) -> [f64; N] {
         let counts = self.segments.count(outer, boxes);
         std::array::from_fn(|index| self.estimate(&boxes[index], counts[index] as usize))
+    }
+
+    fn value_below(&self, outer: &Vec<u32>, bounds: &PaddedAabb, limit: f64, work: &mut u64) -> Option<f64> {
+        let most = self.rays_for(bounds, limit).saturating_add(1);
+        let (count, tested) = self.segments.count_below(outer, bounds, true, most);
+        *work += tested as u64 + 1;
+        let value = self.estimate(bounds, count? as usize);
+        (value < limit).then_some(value)
+    }
+
+    fn can_be_below(
+        &self,
+        (bounds, list): (&PaddedAabb, &Vec<u32>),
+        moved: &Vec<u32>,
+        union: &PaddedAabb,
+        limit: f64,
+        work: &mut u64,
+    ) -> bool {
+        // All rays of either box overlap the union.
+        let most = self.rays_for(union, limit).saturating_add(1);
+        let Some(most) = most.checked_sub(list.len() as u32) else { return false };
+        let (count, tested) = self.segments.count_below(moved, bounds, false, most);
+        *work += tested as u64 + 1;
+        count.is_some()
     }
 
     fn work(&self, list: &Vec<u32>) -> u64 {

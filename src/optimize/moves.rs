@@ -49,6 +49,10 @@ pub fn plan<M: Measure>(working: &Working<M>, node: u32, target: u32) -> Option<
     while below != common && working.node(below).parent != common {
         let index = working.node(below).parent;
         remaining = remaining.union(working.bounds(working.sibling(below)));
+        if remaining == *working.bounds(index) {
+            // Nor does anything above change.
+            break;
+        }
         work += measure.work(working.list(index));
         let list = measure.within(working.list(index), &remaining);
         gain += working.value(index) - measure.value(&remaining, &list);
@@ -63,6 +67,10 @@ pub fn plan<M: Measure>(working: &Working<M>, node: u32, target: u32) -> Option<
     let mut outer = working.list(common);
     for &index in down.iter().rev() {
         let bounds = working.bounds(index).union(&moved);
+        if bounds == *working.bounds(index) {
+            outer = working.list(index);
+            continue;
+        }
         work += measure.work(outer);
         let list = measure.within(outer, &bounds);
         gain -= measure.value(&bounds, &list) - working.value(index);
@@ -83,6 +91,13 @@ pub struct Undo<L> {
     nodes: Vec<(u32, Node)>,
     /// Inner nodes with their old P and lists.
     lists: Vec<(u32, f64, L)>,
+}
+
+impl<L> Undo<L> {
+    /// Nodes whose links or boxes the move changed.
+    pub fn touched(&self) -> impl Iterator<Item = u32> {
+        self.nodes.iter().map(|(index, _)| *index)
+    }
 }
 
 /// Carries a plan out. The tree must be the one that it was made for.

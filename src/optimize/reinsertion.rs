@@ -6,31 +6,23 @@
 //! in the tree as it then is has been worked out anew. That takes little beside the searches, makes the cost fall with every move, and
 //! leaves nothing to chance, so the tree is the same for any number of threads.
 //!
-//! With recorded rays a move is worth what it does to the blend of T_R and area, to the last ray. Places are found by area
-//! ([`Search::Area`]: quick proposals, of which the best by rays is taken), or by branch and bound on the measure itself ([`Search::Measure`]).
+//! With recorded rays a move is worth what it does to the estimate of T_R, to the last ray, and places are found by the same measure.
+//!
+//! Nodes that are hardly ever hit have little to gain and are most of the nodes: a batch tries the likeliest third, and loses little by it. From the second batch
+//! on it tries those of them that have changed, or whose neighbours have.
 
 use super::Step;
-use super::measure::{AreaMeasure, Measure};
+use super::measure::Measure;
 use super::moves::{can_move, carry_out, plan};
-use super::search::{ByArea, ByMeasure, Guide, Limits, places};
+use super::search::{Limits, place};
 use super::working::Working;
 use rayon::prelude::*;
 
-/// What places are searched by.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Search {
-    /// By area, so many places each; the one that gains most by the measure is taken.
-    Area { places: usize },
-    /// By the measure.
-    Measure,
-}
-
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
-    pub search: Search,
-    /// Most batches. It ends earlier when a batch over all nodes lowers the cost by less than `least_gain` of it.
+    /// Most batches. It ends earlier when a batch lowers the cost by less than `least_gain` of it.
     pub batches: usize,
-    /// Share of the nodes that a batch tries to move, those with the greatest P first. 0 to 1.
+    /// Share of the nodes that a batch tries to move, those with the greatest P first; all of a small tree. 0 to 1.
     pub share: f64,
     /// Least relative fall of the cost for going on.
     pub least_gain: f64,
@@ -42,57 +34,42 @@ pub struct Config {
 
 impl Default for Config {
     fn default() -> Config {
-        Config {
-            search: Search::Measure,
-            batches: 10,
-            share: 1.0,
-            least_gain: 1e-3,
-            search_work: 1 << 20,
-            max_work: u64::MAX,
-        }
+        Config { batches: 10, share: 0.3, least_gain: 1e-3, search_work: 1 << 20, max_work: u64::MAX }
     }
 }
 
 /// Gains below this share of the parent's P are rounding, or not worth the work.
 const WORTHWHILE: f64 = 1e-6;
 
+/// So many nodes are tried in any case: small trees take no time.
+const LEAST: usize = 1 << 12;
+
 /// Nodes that search side by side before their moves are carried out. Fewer see a fresher tree, more keep more threads busy.
 const BATCH: usize = 1 << 13;
 
 /// Moves subtrees until it does not pay any more. One step a batch.
 pub fn reinsert<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<Step> {
-    let scene = *working.bounds(0);
     let mut steps: Vec<Step> = Vec::new();
     let (mut cost, mut work, mut moves) = (working.cost(), 0, 0);
+    // Nodes that may have a better place: those that were not searched for since anything near them changed.
+    let mut open = vec![true; working.nodes.len()];
     for _ in 0..config.batches {
-        if work >= config.max_work {
-            break;
-        }
         let mut nodes: Vec<u32> =
             (0..working.nodes.len() as u32).filter(|&node| can_move(working, node)).collect();
         nodes.sort_by(|&a, &b| working.value(b).total_cmp(&working.value(a)));
-        nodes.truncate((nodes.len() as f64 * config.share).ceil() as usize);
+        nodes.truncate(((nodes.len() as f64 * config.share).ceil() as usize).max(LEAST));
+        nodes.retain(|&node| open[node as usize]);
         for batch in nodes.chunks(BATCH) {
-            let (done, tested) = match config.search {
-                Search::Area { places } => {
-                    let limits =
-                        Limits { least_gain: WORTHWHILE, places: places.max(1), work: config.search_work };
-                    move_batch(working, &ByArea(AreaMeasure::new(&scene)), batch, &limits)
-                }
-                Search::Measure => {
-                    let limits = Limits { least_gain: WORTHWHILE, places: 1, work: config.search_work };
-                    move_batch(working, &ByMeasure(working.measure), batch, &limits)
-                }
-            };
-            moves += done;
-            work += tested;
-            if work >= config.max_work {
+            if work >= config.max_work || working.out_of_time() {
                 break;
             }
+            let (done, tested) = move_batch(working, batch, config, &mut open);
+            moves += done;
+            work += tested;
         }
         let new = working.cost();
         steps.push(Step { cost: new, moves, work });
-        if new > cost * (1.0 - config.least_gain) {
+        if new > cost * (1.0 - config.least_gain) || work >= config.max_work || working.out_of_time() {
             break;
         }
         cost = new;
@@ -101,37 +78,39 @@ pub fn reinsert<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<St
 }
 
 /// Searches for all of `batch` at once, then moves one after another. Returns the number of moves and the work.
-fn move_batch<M: Measure, G: Guide<M>>(
+fn move_batch<M: Measure>(
     working: &mut Working<M>,
-    guide: &G,
     batch: &[u32],
-    limits: &Limits,
+    config: &Config,
+    open: &mut [bool],
 ) -> (u64, u64) {
+    let limits = Limits { least_gain: WORTHWHILE, work: config.search_work };
     let tree = &*working;
-    let found: Vec<_> = batch
-        .par_iter()
-        .map(
-            |&node| if can_move(tree, node) { places(tree, guide, node, limits) } else { Default::default() },
-        )
-        .collect();
+    let search = |&node: &u32| if can_move(tree, node) { place(tree, node, &limits) } else { (None, 0) };
+    let found: Vec<_> = batch.par_iter().map(search).collect();
     let mut work: u64 = found.iter().map(|(_, work)| work).sum();
-    let mut order: Vec<usize> = (0..batch.len()).filter(|&index| !found[index].0.is_empty()).collect();
-    order.sort_by(|&a, &b| found[b].0[0].gain.total_cmp(&found[a].0[0].gain));
+    let mut places = Vec::new();
+    for (&node, (place, _)) in batch.iter().zip(found) {
+        open[node as usize] = false;
+        places.extend(place.map(|place| (node, place)));
+    }
+    places.sort_by(|(_, a), (_, b)| b.gain.total_cmp(&a.gain));
     let mut moves = 0;
-    for index in order {
-        let mut best = None;
-        for place in &found[index].0 {
-            let Some(plan) = plan(working, batch[index], place.target) else { continue };
-            work += plan.work;
-            if best.as_ref().is_none_or(|best: &super::moves::Plan<_>| plan.gain > best.gain) {
-                best = Some(plan);
+    for (node, place) in places {
+        let plan = plan(working, node, place.target);
+        work += plan.as_ref().map_or(0, |plan| plan.work);
+        let Some(plan) = plan.filter(|plan| plan.gain > 0.0) else {
+            // Something else moved first: it may have another place now.
+            open[node as usize] = true;
+            continue;
+        };
+        let undo = carry_out(working, plan);
+        moves += 1;
+        for index in undo.touched() {
+            open[index as usize] = true;
+            if !working.node(index).is_leaf() {
+                working.node(index).children().into_iter().for_each(|child| open[child as usize] = true);
             }
-        }
-        if let Some(plan) = best
-            && plan.gain > 0.0
-        {
-            carry_out(working, plan);
-            moves += 1;
         }
     }
     (moves, work)

@@ -190,12 +190,14 @@ fn climb_from<M: Measure>(working: &mut Working<M>, mut open: Vec<u32>, max_work
         is_open[index as usize] = true;
     }
     let mut count = Count::default();
+    let mut visits = 0u64;
     while let Some(index) = open.pop() {
         is_open[index as usize] = false;
         if working.node(index).is_leaf() {
             continue;
         }
-        if count.work >= max_work {
+        visits += 1;
+        if count.work >= max_work || (visits.is_multiple_of(256) && working.out_of_time()) {
             break;
         }
         let Gains { gains, work } = gains(working, index);

@@ -5,118 +5,21 @@
 //! Going down, what a place gains only falls: every box on the way grows, and the new parent is at least as likely to be hit as the node. A subtree
 //! whose best case is not better than what was found is left out.
 //!
-//! The search is guided by the measure itself, or by area alone, which is quick and then only proposes places.
+//! Counting rays is what takes the time, and nearly all of it is avoided without changing what is found:
+//! - a box that holds the moved one already does not grow;
+//! - a box that grows is overlapped by its own rays and by those of the moved one, which are few: often that is too many already;
+//! - else rays are counted until there are too many for the place to be any better.
 
-use super::measure::{AreaMeasure, Measure};
+use super::measure::Measure;
 use super::working::Working;
 use crate::geometry::padded::PaddedAabb;
+use std::borrow::Cow;
 
-/// What a search is guided by.
-pub trait Guide<M: Measure>: Sync {
-    /// What is known of a box.
-    type List;
-
-    fn list<'a>(&'a self, working: &'a Working<M>, node: u32) -> &'a Self::List;
-    fn value(&self, working: &Working<M>, node: u32) -> f64;
-    fn within(&self, working: &Working<M>, outer: &Self::List, bounds: &PaddedAabb) -> Self::List;
-    fn values<const N: usize>(
-        &self,
-        working: &Working<M>,
-        outer: &Self::List,
-        boxes: &[PaddedAabb; N],
-    ) -> [f64; N];
-    fn work(&self, list: &Self::List) -> u64;
-}
-
-/// Guided by the tree's own measure: what is found is the best place.
-pub struct ByMeasure<'m, M>(pub &'m M);
-
-impl<M: Measure> Guide<M> for ByMeasure<'_, M> {
-    type List = M::List;
-
-    fn list<'a>(&'a self, working: &'a Working<M>, node: u32) -> &'a M::List {
-        working.list(node)
-    }
-
-    fn value(&self, working: &Working<M>, node: u32) -> f64 {
-        working.value(node)
-    }
-
-    fn within(&self, working: &Working<M>, outer: &M::List, bounds: &PaddedAabb) -> M::List {
-        working.measure.within(outer, bounds)
-    }
-
-    fn values<const N: usize>(
-        &self,
-        working: &Working<M>,
-        outer: &M::List,
-        boxes: &[PaddedAabb; N],
-    ) -> [f64; N] {
-        working.measure.values(outer, boxes)
-    }
-
-    fn work(&self, list: &M::List) -> u64 {
-        self.0.work(list)
-    }
-}
-
-/// Guided by area, whatever the tree's measure is.
-pub struct ByArea(pub AreaMeasure);
-
-impl<M: Measure> Guide<M> for ByArea {
-    type List = ();
-
-    fn list<'a>(&'a self, _working: &'a Working<M>, _node: u32) -> &'a () {
-        &()
-    }
-
-    fn value(&self, working: &Working<M>, node: u32) -> f64 {
-        self.0.of(working.bounds(node))
-    }
-
-    fn within(&self, _working: &Working<M>, _outer: &(), _bounds: &PaddedAabb) {}
-
-    fn values<const N: usize>(
-        &self,
-        _working: &Working<M>,
-        _outer: &(),
-        boxes: &[PaddedAabb; N],
-    ) -> [f64; N] {
-        std::array::from_fn(|index| self.0.of(&boxes[index]))
-    }
-
-    fn work(&self, _list: &()) -> u64 {
-        1
-    }
-}
-
-/// A place: beside which node, and what the guide expects of it.
+/// A place: beside which node, and by how much the cost falls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
     pub target: u32,
     pub gain: f64,
-}
-
-/// The best places, best first; ties in the order in which they were found.
-struct Best {
-    places: Vec<Place>,
-    most: usize,
-    least_gain: f64,
-}
-
-impl Best {
-    fn bound(&self) -> f64 {
-        if self.places.len() < self.most { self.least_gain } else { self.places[self.most - 1].gain }
-    }
-
-    fn offer(&mut self, target: u32, gain: f64) {
-        if gain <= self.bound() {
-            return;
-        }
-        self.places.truncate(self.most - 1);
-        let rank = self.places.partition_point(|place| place.gain >= gain);
-        self.places.insert(rank, Place { target, gain });
-    }
 }
 
 /// How far a search goes.
@@ -124,93 +27,153 @@ impl Best {
 pub struct Limits {
     /// Only places that gain more, as a share of P of the node's parent.
     pub least_gain: f64,
-    /// How many places to return; at least 1.
-    pub places: usize,
     /// After so many boxes tested against rays a search returns what it has.
     pub work: u64,
 }
 
-/// The places for `node` that lower the cost most, and the work that it took to find them. `node` must be able to move.
-pub fn places<M: Measure, G: Guide<M>>(
-    working: &Working<M>,
-    guide: &G,
-    node: u32,
-    limits: &Limits,
-) -> (Vec<Place>, u64) {
-    let moved = *working.bounds(node);
+/// The place for `node` that lowers the cost most, if there is one, and the work that it took to find it. `node` must be able to move.
+pub fn place<M: Measure>(working: &Working<M>, node: u32, limits: &Limits) -> (Option<Place>, u64) {
     let parent = working.node(node).parent;
     let sibling = working.sibling(node);
-    let least = guide.value(working, node);
-    let mut best = Best {
-        places: Vec::new(),
-        most: limits.places,
-        least_gain: limits.least_gain * guide.value(working, parent),
+    let bounds = *working.bounds(node);
+    let own = working.node(node).is_leaf().then(|| working.measure.within(working.list(parent), &bounds));
+    let mut search = Search {
+        working,
+        moved: bounds,
+        rays: own.as_ref().unwrap_or(working.list(node)),
+        least: working.value(node),
+        best: None,
+        bound: limits.least_gain * working.value(parent),
+        open: Vec::new(),
+        work: 0,
     };
-    let mut work = 0;
     // What is gained by taking the node out, as far up as the pivot's children.
-    let mut gained = guide.value(working, parent);
+    let mut gained = working.value(parent);
     // The pivot's child that held the node, without it.
     let mut remaining = *working.bounds(sibling);
     let (mut pivot, mut other) = (parent, sibling);
-    let mut open: Vec<(u32, f64, G::List)> = Vec::new();
     loop {
         // `other` and everything below it. At the parent, beside the sibling is where the node was.
-        let outer = guide.list(working, pivot);
-        if gained - least > best.bound() {
-            let bounds = working.bounds(other).union(&moved);
-            work += guide.work(outer);
-            let [merged] = guide.values(working, outer, &[bounds]);
-            if pivot != parent {
-                best.offer(other, gained - merged);
-            }
-            let below = gained - merged + guide.value(working, other);
-            if !working.node(other).is_leaf() && below - least > best.bound() {
-                open.push((other, below, guide.within(working, outer, &bounds)));
-            }
+        if gained - search.least > search.bound {
+            search.consider(other, gained, Cow::Borrowed(working.list(pivot)), pivot != parent);
         }
-        while let Some((index, gained, outer)) = open.pop() {
-            if gained - least <= best.bound() {
+        while let Some(Open { index, gained, list }) = search.open.pop() {
+            if gained - search.least <= search.bound {
                 continue;
             }
-            if work > limits.work {
-                return (best.places, work);
+            if search.work > limits.work {
+                return (search.best, search.work);
             }
-            let children = working.node(index).children();
-            let boxes = children.map(|child| working.bounds(child).union(&moved));
-            work += 2 * guide.work(&outer);
-            let merged = guide.values(working, &outer, &boxes);
-            // The child that grows less is looked at first, so it is pushed last.
-            let order = if merged[0] < merged[1] { [1, 0] } else { [0, 1] };
-            for side in order.into_iter().rev() {
-                best.offer(children[side], gained - merged[side]);
-            }
-            for side in order {
-                let child = children[side];
-                let below = gained - merged[side] + guide.value(working, child);
-                if !working.node(child).is_leaf() && below - least > best.bound() {
-                    open.push((child, below, guide.within(working, &outer, &boxes[side])));
-                }
+            for child in search.nearer_first(index) {
+                search.consider(child, gained, Cow::Borrowed(&list), true);
             }
         }
         // One level up: the pivot loses the node too, and the search goes on below its sibling, or stops beside the pivot itself.
         if pivot == 0 {
-            return (best.places, work);
+            return (search.best, search.work);
         }
         if pivot != parent {
-            work += guide.work(outer);
             remaining = remaining.union(working.bounds(other));
-            let [shrunk] = guide.values(working, outer, &[remaining]);
-            gained += guide.value(working, pivot) - shrunk;
-            best.offer(pivot, gained - guide.value(working, pivot));
+            if remaining != *working.bounds(pivot) {
+                search.work += working.measure.work(working.list(pivot));
+                let [shrunk] = working.measure.values(working.list(pivot), &[remaining]);
+                gained += working.value(pivot) - shrunk;
+            }
+            search.offer(pivot, gained - working.value(pivot));
         }
         other = working.sibling(pivot);
         pivot = working.node(pivot).parent;
     }
 }
 
+/// A node whose children are to be looked at.
+struct Open<'a, L: Clone> {
+    index: u32,
+    /// What taking the node out gains, less what the boxes on the way here grow.
+    gained: f64,
+    /// Rays that overlap the grown box.
+    list: Cow<'a, L>,
+}
+
+struct Search<'a, 'm, M: Measure> {
+    working: &'a Working<'m, M>,
+    moved: PaddedAabb,
+    /// List of the moved box.
+    rays: &'a M::List,
+    /// P of the moved box: what a new parent costs at least.
+    least: f64,
+    best: Option<Place>,
+    /// Only what gains more is of interest.
+    bound: f64,
+    open: Vec<Open<'a, M::List>>,
+    work: u64,
+}
+
+impl<'a, M: Measure> Search<'a, '_, M> {
+    fn offer(&mut self, target: u32, gain: f64) {
+        if gain > self.bound {
+            self.bound = gain;
+            self.best = Some(Place { target, gain });
+        }
+    }
+
+    /// The place beside `index` when `beside`, and, later, those below it. `outer` is the list of a box around what would be the new parent.
+    fn consider(&mut self, index: u32, gained: f64, outer: Cow<'_, M::List>, beside: bool) {
+        let working = self.working;
+        let bounds = working.bounds(index);
+        let value = working.value(index);
+        let is_leaf = working.node(index).is_leaf();
+        let union = bounds.union(&self.moved);
+        if union == *bounds {
+            if beside {
+                self.offer(index, gained - value);
+            }
+            if !is_leaf && gained - self.least > self.bound {
+                self.open.push(Open { index, gained, list: Cow::Borrowed(working.list(index)) });
+            }
+            return;
+        }
+        // Above it, neither beside nor below can anything be better.
+        let mut limit = if beside { gained - self.bound } else { 0.0 };
+        if !is_leaf {
+            limit = limit.max(gained - self.bound - self.least + value);
+        }
+        if limit <= value.max(self.least) {
+            return;
+        }
+        let measure = working.measure;
+        if !is_leaf
+            && !measure.can_be_below((bounds, working.list(index)), self.rays, &union, limit, &mut self.work)
+        {
+            return;
+        }
+        let Some(merged) = measure.value_below(&outer, &union, limit, &mut self.work) else { return };
+        if beside {
+            self.offer(index, gained - merged);
+        }
+        let below = gained - merged + value;
+        if !is_leaf && below - self.least > self.bound {
+            self.work += measure.work(&outer);
+            self.open.push(Open { index, gained: below, list: Cow::Owned(measure.within(&outer, &union)) });
+        }
+    }
+
+    /// The children, the one first that lies nearer to the moved box, so that it bounds the other.
+    fn nearer_first(&self, index: u32) -> [u32; 2] {
+        let [left, right] = self.working.node(index).children();
+        let distance = |child: u32| {
+            let bounds = self.working.bounds(child);
+            let apart = (bounds.lower + bounds.upper) - (self.moved.lower + self.moved.upper);
+            apart.abs().element_sum()
+        };
+        if distance(right) < distance(left) { [right, left] } else { [left, right] }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::checks::{blend, poor_tree, rays, triangles};
+    use super::super::measure::AreaMeasure;
     use super::super::moves::{can_move, plan};
     use super::*;
     use crate::geometry::Ray;
@@ -224,14 +187,14 @@ mod tests {
     }
 
     fn check<M: Measure>(working: &Working<M>) {
-        let limits = Limits { least_gain: 1e-9, places: 3, work: u64::MAX };
+        let limits = Limits { least_gain: 1e-9, work: u64::MAX };
         let mut found = 0;
         for node in (0..working.nodes.len() as u32).filter(|&node| can_move(working, node)) {
-            let (places, _) = places(working, &ByMeasure(working.measure), node, &limits);
+            let (place, _) = place(working, node, &limits);
             let best = exhaustive(working, node);
-            let gain = places.first().map_or(0.0, |place| place.gain);
+            let gain = place.map_or(0.0, |place| place.gain);
             assert!((gain - best).abs() < 1e-8, "{node}: found {gain}, there is {best}");
-            for place in &places {
+            if let Some(place) = place {
                 let expected = plan(working, node, place.target).map(|plan| plan.gain);
                 assert!(
                     (place.gain - expected.unwrap_or(f64::NAN)).abs() < 1e-9,

@@ -7,41 +7,41 @@
 //! The test is the conservative one of traversal ([`PreparedRay::entry`]): a ray is counted for
 //! exactly those boxes that a traversal of its effective segment would enter. So P_R here is P_R as `bvh-compare` counts it.
 
-use crate::geometry::Ray;
 use crate::geometry::padded::PaddedAabb;
+use crate::geometry::{Ray, Vec3};
 use crate::traverse::ray::{PADDING, PreparedRay};
+use glam::Vec4;
 use rayon::prelude::*;
 
 /// A ray over its effective segment.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(32))]
 struct Segment {
-    origin: [f32; 3],
-    tnear: f32,
-    /// 1 / direction; NaN on an axis that cannot bound the ray.
-    inverse: [f32; 3],
-    tfar: f32,
+    /// In the fourth lane tnear.
+    origin: Vec4,
+    /// 1 / direction; NaN on an axis that cannot bound the ray. In the fourth lane tfar.
+    inverse: Vec4,
 }
 
 impl Segment {
     /// None for a ray that overlaps no box: not finite, or with an empty interval.
     fn new(ray: &Ray) -> Option<Segment> {
         let ray = PreparedRay::new(ray);
+        let lanes = |v: Vec3, w: f32| Vec4::new(v.x, v.y, v.z, w);
         (ray.tnear <= ray.tfar).then_some(Segment {
-            origin: ray.origin.to_array(),
-            tnear: ray.tnear,
-            inverse: ray.near_inverse.to_array(),
-            tfar: ray.tfar,
+            origin: lanes(ray.origin, ray.tnear),
+            inverse: lanes(ray.near_inverse, ray.tfar),
         })
     }
 
     /// Which of the boxes the segment overlaps: 1 or 0 a lane.
     #[inline(always)]
     fn overlaps<const N: usize>(&self, boxes: &Lanes<N>) -> [u32; N] {
-        let mut entry = [self.tnear; N];
-        let mut exit = [self.tfar; N];
+        let mut entry = [self.origin.w; N];
+        let mut exit = [self.inverse.w; N];
+        let (origin, inverse) = (self.origin.to_array(), self.inverse.to_array());
         for axis in 0..3 {
-            let (origin, inverse) = (self.origin[axis], self.inverse[axis]);
+            let (origin, inverse) = (origin[axis], inverse[axis]);
             let far_inverse = inverse * (1.0 + PADDING);
             let downwards = (inverse < 0.0) as usize;
             let near = &boxes.faces[axis][downwards];
@@ -55,6 +55,20 @@ impl Segment {
             }
         }
         std::array::from_fn(|lane| (entry[lane] <= exit[lane]) as u32)
+    }
+
+    /// Whether the segment overlaps one box: the same operations, with an axis a lane.
+    #[inline(always)]
+    fn overlaps_one(&self, bounds: &PaddedAabb) -> bool {
+        let (tnear, tfar) = (self.origin.w, self.inverse.w);
+        let downwards = self.inverse.cmplt(Vec4::ZERO);
+        let near = Vec4::select(downwards, bounds.upper, bounds.lower);
+        let far = Vec4::select(downwards, bounds.lower, bounds.upper);
+        // The second operand is what a NaN leaves.
+        let entry = ((near - self.origin) * self.inverse).max(Vec4::splat(tnear)).with_w(tnear);
+        let exit =
+            ((far - self.origin) * (self.inverse * (1.0 + PADDING))).min(Vec4::splat(tfar)).with_w(tfar);
+        entry.max_element() <= exit.min_element()
     }
 }
 
@@ -76,6 +90,12 @@ impl<const N: usize> Lanes<N> {
 /// The rays that trees are measured with. Rays that can overlap no box are left out.
 #[derive(Clone, Debug)]
 pub struct Segments(Vec<Segment>);
+
+/// Rays counted between two looks at whether the answer is known.
+const BLOCK: usize = 64;
+
+/// From so many rays on, those counted so far are taken for a sample of the list.
+const SAMPLE: usize = 256;
 
 impl Segments {
     /// Prepares effective segments (see [`crate::format::rays::Record::effective_segment`]).
@@ -102,20 +122,90 @@ impl Segments {
         count(&self.0, list, &lanes)
     }
 
+    /// How many of the rays in `list` overlap `bounds` (or, unless `inside`, miss it), when that is below `limit`; and how many rays it took to know.
+    /// It is taken not to be when, of the first rays of a long list, so many are counted that the limit lies two standard errors below: for a
+    /// list in an order that looks random, a wrong guess is rare, and costs a search one place.
+    pub fn count_below(
+        &self,
+        list: &[u32],
+        bounds: &PaddedAabb,
+        inside: bool,
+        limit: u32,
+    ) -> (Option<u32>, usize) {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2.
+            return unsafe { count_below_avx2(&self.0, list, bounds, inside, limit) };
+        }
+        count_below(&self.0, list, bounds, inside, limit)
+    }
+
     /// The rays in `list` that overlap `bounds`, in the order of `list`.
     pub fn within(&self, list: &[u32], bounds: &PaddedAabb) -> Vec<u32> {
-        let lanes = Lanes::new(&[*bounds]);
-        let mut kept = vec![0; list.len()];
-        let mut count = 0;
-        for &ray in list {
-            // Whether a ray overlaps is hard to predict: write in any case, keep by arithmetic.
-            kept[count] = ray;
-            count += self.0[ray as usize].overlaps(&lanes)[0] as usize;
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2.
+            return unsafe { within_avx2(&self.0, list, bounds) };
         }
-        kept.truncate(count);
-        kept.shrink_to_fit();
-        kept
+        within(&self.0, list, bounds)
     }
+}
+
+#[inline(always)]
+fn within(segments: &[Segment], list: &[u32], bounds: &PaddedAabb) -> Vec<u32> {
+    let mut kept = vec![0; list.len()];
+    let mut count = 0;
+    for &ray in list {
+        // Whether a ray overlaps is hard to predict: write in any case, keep by arithmetic.
+        kept[count] = ray;
+        count += segments[ray as usize].overlaps_one(bounds) as usize;
+    }
+    kept.truncate(count);
+    kept.shrink_to_fit();
+    kept
+}
+
+#[inline(always)]
+fn count_below(
+    segments: &[Segment],
+    list: &[u32],
+    bounds: &PaddedAabb,
+    inside: bool,
+    limit: u32,
+) -> (Option<u32>, usize) {
+    let (mut count, mut tested) = (0, 0);
+    for block in list.chunks(BLOCK) {
+        let seen = f64::from(count);
+        let sure = (seen - 2.0 * seen.sqrt()) * list.len() as f64 >= f64::from(limit) * tested as f64;
+        if count >= limit || (tested >= SAMPLE && sure) {
+            return (None, tested);
+        }
+        for &ray in block {
+            count += (segments[ray as usize].overlaps_one(bounds) == inside) as u32;
+        }
+        tested += block.len();
+    }
+    ((count < limit).then_some(count), tested)
+}
+
+/// [`count_below`], compiled for AVX2.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn count_below_avx2(
+    segments: &[Segment],
+    list: &[u32],
+    bounds: &PaddedAabb,
+    inside: bool,
+    limit: u32,
+) -> (Option<u32>, usize) {
+    count_below(segments, list, bounds, inside, limit)
+}
+
+/// [`within`], compiled for AVX2.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn within_avx2(segments: &[Segment], list: &[u32], bounds: &PaddedAabb) -> Vec<u32> {
+    within(segments, list, bounds)
 }
 
 #[inline(always)]
@@ -140,7 +230,7 @@ fn count_avx2<const N: usize>(segments: &[Segment], list: &[u32], lanes: &Lanes<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Aabb, Vec3};
+    use crate::geometry::Aabb;
     use crate::random::Random;
 
     /// By how much the segment overlaps the box, in double precision: the length of the common interval of t, negative when they are apart.

@@ -7,6 +7,7 @@
 use super::measure::Measure;
 use crate::geometry::padded::PaddedAabb;
 use crate::tree::{LEAF_BIT, Node as FileNode, Tree};
+use std::time::Instant;
 
 /// No parent.
 pub const NONE: u32 = u32::MAX;
@@ -48,6 +49,8 @@ pub struct Working<'m, M: Measure> {
     pub values: Vec<f64>,
     /// Of every inner node; a leaf's is empty.
     pub lists: Vec<M::List>,
+    /// When to stop, for those who want a tree after so many seconds and not always the same one.
+    pub deadline: Option<Instant>,
 }
 
 impl<'m, M: Measure> Working<'m, M> {
@@ -67,8 +70,13 @@ impl<'m, M: Measure> Working<'m, M> {
             }
         }
         let count = nodes.len();
-        let mut working =
-            Working { measure, nodes, values: vec![0.0; count], lists: vec![M::List::default(); count] };
+        let mut working = Working {
+            measure,
+            nodes,
+            values: vec![0.0; count],
+            lists: vec![M::List::default(); count],
+            deadline: None,
+        };
         let list = measure.within(&measure.whole(), &working.nodes[0].bounds);
         working.values[0] = measure.value(&working.nodes[0].bounds, &list);
         working.lists[0] = list;
@@ -90,6 +98,11 @@ impl<'m, M: Measure> Working<'m, M> {
                 self.lists[child as usize] = list;
             }
         }
+    }
+
+    /// Whether the deadline is over.
+    pub fn out_of_time(&self) -> bool {
+        self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
     }
 
     /// Goes back to an earlier state: `nodes` is a copy of this tree's nodes from then.
@@ -270,7 +283,7 @@ impl<'m, M: Measure> Working<'m, M> {
         nodes[0].parent = NONE;
         let values = numbers.iter().map(|&number| self.value(number)).collect();
         let lists = numbers.iter().map(|&number| std::mem::take(&mut self.lists[number as usize])).collect();
-        (Working { measure: self.measure, nodes, values, lists }, numbers)
+        (Working { measure: self.measure, nodes, values, lists, deadline: self.deadline }, numbers)
     }
 
     /// Puts a subtree back where it was.
