@@ -1,6 +1,6 @@
 //! Greedy top-down building of binary trees (paper, section 2.4, algorithm 3).
 //!
-//! Triangles become [`reference::Reference`]s; at each node an algorithm ([`binned`], [`sweep`]) finds the candidate of
+//! Triangles become [`reference::Reference`]s; at each node an algorithm ([`binned`], [`sweep`], [`spatial`]) finds the candidate of
 //! least [`cost`], divides the references, and `recursion` goes on with both halves, on several threads, writing each
 //! node where the number of primitives says that it belongs. How likely a box is to be hit comes from a
 //! [`Probability`]: with [`Area`] this is a SAH builder.
@@ -9,11 +9,13 @@
 //! counts, ties go to the first axis and the first candidate, and references stay in a defined order.
 
 pub mod binned;
+pub mod clip;
 pub mod cost;
 mod describe;
 pub mod exhaustive;
 mod recursion;
 pub mod reference;
+pub mod spatial;
 pub mod sweep;
 
 use crate::geometry::{Aabb, Triangle};
@@ -33,12 +35,14 @@ pub const MAX_DEPTH: usize = 96;
 pub const MAX_TRIANGLES: usize = 1 << 31;
 
 /// Which candidates a node's split is chosen from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Splits {
     /// Planes at equal distances between the centroids' bounds, on each axis.
     Binned { bins: Bins },
     /// Every way to cut the centroids' order, on each axis.
     Sweep,
+    /// As binned, and planes that cut triangles where that pays.
+    Spatial(spatial::Options),
 }
 
 /// How many bins an axis has.
@@ -116,6 +120,10 @@ pub enum BuildError {
     Bins(usize),
     #[error("a leaf of at most {0} primitives: from 1 to 65536 are possible")]
     MaxLeaf(usize),
+    #[error("a duplication of at most {0}: from 0 to 15 times the triangles is possible")]
+    Duplication(f64),
+    #[error("an overlap of {0}: it must be a finite number, not negative")]
+    Overlap(f64),
     #[error("{0} is {1}: a cost must be a finite number, not negative")]
     Cost(&'static str, f64),
 }
@@ -133,6 +141,9 @@ impl Config {
             && !(2..=MAX_BINS).contains(&bins)
         {
             return Err(BuildError::Bins(bins));
+        }
+        if let Splits::Spatial(options) = self.splits {
+            options.check()?;
         }
         if !(1..=65536).contains(&self.max_leaf) {
             return Err(BuildError::MaxLeaf(self.max_leaf));
@@ -171,15 +182,18 @@ pub fn build_with<P: Probability>(
     progress: &Progress,
 ) -> Result<Tree, BuildError> {
     config.check()?;
-    let primitives = references.list.len();
-    if primitives == 0 {
+    if references.list.is_empty() {
         return Ok(Tree { nodes: vec![Node::leaf(Aabb::EMPTY, 0, 0)], primitives: Vec::new() });
     }
     let tree = if config.alpha == 1.0 {
         let weight = Linear::new(config.count);
         recursion::Builder { probability, weight, config, progress }.run(references)
     } else {
-        let weight = Power::new(config, primitives);
+        let most = match config.splits {
+            Splits::Spatial(options) => options.capacity(references.list.len()),
+            _ => references.list.len(),
+        };
+        let weight = Power::new(config, most);
         recursion::Builder { probability, weight, config, progress }.run(references)
     };
     Ok(tree)

@@ -2,18 +2,20 @@
 //! optimisers run afterwards. `bvh-build` types one, experiments try many.
 //!
 //! Data flows so: triangles (+ effective segments) → [`crate::builder`] with a probability → [`crate::optimize`] with the measure
-//! that belongs to it → a tree. Builder and optimisers see the same heuristic, so that the one does not undo the other.
+//! that belongs to it → [`crate::tree::leaves`], where leaves may hold several → a tree. Builder and optimisers see the same heuristic, so that the one does not undo the other.
 
 use crate::builder::reference::References;
 use crate::builder::{self, BuildError, build_with};
 use crate::geometry::{Ray, Triangle};
-use crate::optimize::measure::{AreaMeasure, Estimate, RayMeasure};
+use crate::optimize::measure::{AreaMeasure, Estimate, Measure, RayMeasure};
+use crate::optimize::working::Working;
 use crate::optimize::{self, OptimizeError, Stage};
 use crate::probability::area::Area;
 use crate::probability::blend::{Blend, WeightError};
 use crate::probability::rays::{Count, RaySet, Rays};
 use crate::progress::Progress;
 use crate::tree::Tree;
+use crate::tree::leaves::merge_leaves;
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 use thiserror::Error;
@@ -118,41 +120,55 @@ impl Recipe {
         }
         let references = References::of(triangles);
         let bounds = references.bounds;
-        let stages = optimize::Config {
-            stages: self.stages.clone(),
-            deadline: self.budget.map(|budget| started + budget),
-        };
+        let deadline = self.budget.map(|budget| started + budget);
+        // Optimisers gain most on leaves of one; larger ones are made afterwards.
+        let max_leaf = if self.stages.is_empty() { self.builder.max_leaf } else { 1 };
+        let config = builder::Config { max_leaf, ..self.builder };
         let mut made = Made { tree: Tree::default(), optimized: None };
         let estimate = match self.heuristic {
             Heuristic::Sah => {
-                made.tree = build_with(references, &Area::of_scene(&bounds), &self.builder, progress)?;
+                made.tree = build_with(references, &Area::of_scene(&bounds), &config, progress)?;
                 if !self.stages.is_empty() {
-                    let measure = AreaMeasure::new(&bounds);
-                    made.optimized = Some(optimize::run(&mut made.tree, &measure, &stages, progress)?);
+                    self.optimize(&mut made, &AreaMeasure::new(&bounds), deadline, progress)?;
                 }
                 return Ok(made);
             }
             Heuristic::Rdh { floor } => {
                 let set = RaySet::of_rays(rays.iter().copied());
                 let count = Count { floor: floor as f32, ..Count::default() };
-                made.tree =
-                    build_with(references, &Rays::new(&set, &bounds, count), &self.builder, progress)?;
+                made.tree = build_with(references, &Rays::new(&set, &bounds, count), &config, progress)?;
                 // Counts alone fit the training rays too well where few of them pass.
                 Estimate::default()
             }
             Heuristic::Blend { weight } => {
                 let set = RaySet::of_rays(rays.iter().copied());
                 let blend = Blend::new(weight)?;
-                made.tree =
-                    build_with(references, &Rays::new(&set, &bounds, blend), &self.builder, progress)?;
+                made.tree = build_with(references, &Rays::new(&set, &bounds, blend), &config, progress)?;
                 Estimate::Blend { weight }
             }
         };
         if !self.stages.is_empty() {
-            let measure = RayMeasure::new(rays, estimate, &bounds);
-            made.optimized = Some(optimize::run(&mut made.tree, &measure, &stages, progress)?);
+            self.optimize(&mut made, &RayMeasure::new(rays, estimate, &bounds), deadline, progress)?;
         }
         Ok(made)
+    }
+
+    /// Runs the stages on a tree with one reference a leaf, then makes leaves of as many as are allowed.
+    fn optimize<M: Measure>(
+        &self,
+        made: &mut Made,
+        measure: &M,
+        deadline: Option<Instant>,
+        progress: &Progress,
+    ) -> Result<(), OptimizeError> {
+        let stages = optimize::Config { stages: self.stages.clone(), deadline };
+        made.optimized = Some(optimize::run(&mut made.tree, measure, &stages, progress)?);
+        let builder::Config { max_leaf, c_i, c_p, .. } = self.builder;
+        if max_leaf > 1 {
+            let probabilities = Working::new(&made.tree, measure).values;
+            made.tree = merge_leaves(&made.tree, &probabilities, c_i, c_p, max_leaf);
+        }
+        Ok(())
     }
 
     /// The recipe as the `META` section has it. Nothing in it differs between two runs on the same input.

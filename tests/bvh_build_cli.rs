@@ -106,6 +106,26 @@ fn threads_and_runs_give_the_same_file() {
 }
 
 #[test]
+fn spatial_splits_are_flagged_and_whole() {
+    // Long triangles, so that some are cut.
+    let long =
+        soup(2_000, 4).into_iter().map(|t| Triangle([t.0[0], t.0[1] + (t.0[1] - t.0[0]) * 9.0, t.0[2]]));
+    let (_directory, from, to) = input(&long.collect::<Vec<_>>());
+    for options in [&[][..], &["--optimize", "reinsertion", "--max-leaf", "4"], &["--max-duplication", "2"]] {
+        let mut arguments = vec![text(&from), text(&to), "--splits", "spatial", "--format", "json"];
+        arguments.extend(options);
+        let output = run(&arguments);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let report: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        let bytes = std::fs::read(&to).expect("written");
+        let written = Bvh::parse(&bytes).expect("a valid file");
+        assert_eq!(written.header.flags, flag::FLATTENED | flag::SPATIAL_SPLITS);
+        let duplicates = written.verify().expect("a valid tree").duplicates;
+        assert!(duplicates > 0 && report["references"] == 2_000 + duplicates, "{report}");
+    }
+}
+
+#[test]
 fn a_tree_may_replace_its_own_file() {
     let (_directory, from, _) = input(&soup(100, 2));
     assert!(run(&[text(&from), text(&from)]).status.success());
@@ -156,7 +176,9 @@ fn bad_options_are_refused() {
         ("--alpha", "nan"),
         ("--alpha", "one"),
         ("--splits", "binned:1"),
-        ("--splits", "spatial"),
+        ("--splits", "spatial:3"),
+        ("--max-duplication", "1"),
+        ("--overlap", "0"),
         ("--count", "2n"),
         ("--max-leaf", "0"),
         ("--ci", "-1"),
@@ -165,6 +187,9 @@ fn bad_options_are_refused() {
         ("--format", "xml"),
     ] {
         refused(&run(&[text(&from), text(&to), option, value]), &to, "");
+    }
+    for (option, value) in [("--max-duplication", "-1"), ("--max-duplication", "99"), ("--overlap", "inf")] {
+        refused(&run(&[text(&from), text(&to), "--splits", "spatial", option, value]), &to, "");
     }
     let help = run(&["--help"]);
     assert!(help.status.success() && String::from_utf8_lossy(&help.stdout).contains("Examples:"));

@@ -35,6 +35,7 @@ Examples:
   bvh-build embBuilt.bvh ours.bvh                            binned SAH, one triangle a leaf
   bvh-build embBuilt.bvh ours.bvh --splits sweep             every possible cut: slower, better
   bvh-build embBuilt.bvh ours.bvh --splits sweep --alpha 0.88
+  bvh-build embBuilt.bvh ours.bvh --splits spatial --optimize reinsertion   the lowest SAH cost
   bvh-build embBuilt.bvh ours.bvh --max-leaf 8               leaves of up to 8 where that lowers the SAH cost
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays       a tree for these rays: blend 0.95
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --splits sweep --optimize rotations
@@ -48,9 +49,16 @@ struct Arguments {
     input: PathBuf,
     /// The .bvh to write
     output: PathBuf,
-    /// Candidates at each node: binned (min(32, 4 + n/20) bins an axis), binned:N, or sweep
+    /// Candidates at each node: binned (min(32, 4 + n/20) bins an axis), binned:N, sweep, or spatial (binned, and planes that cut
+    /// triangles)
     #[arg(long, default_value = "binned", value_name = "KIND")]
     splits: Splits,
+    /// With --splits spatial: most references that may be added, as a share of the triangles
+    #[arg(long, value_name = "SHARE", allow_negative_numbers = true)]
+    max_duplication: Option<f64>,
+    /// With --splits spatial: cut only where the best other split's children overlap in more than this share of the root's area
+    #[arg(long, value_name = "SHARE", allow_negative_numbers = true)]
+    overlap: Option<f64>,
     /// Exponent of the count in a side's cost, count^ALPHA · P
     #[arg(long, default_value_t = 1.0, value_name = "ALPHA", allow_negative_numbers = true)]
     alpha: f64,
@@ -157,8 +165,13 @@ impl Arguments {
             Kind::Rdh => Heuristic::Rdh { floor: self.floor },
             Kind::Blend => Heuristic::Blend { weight: self.weight },
         };
+        let mut splits = self.splits;
+        if let Splits::Spatial(options) = &mut splits {
+            options.max_duplication = self.max_duplication.unwrap_or(options.max_duplication);
+            options.overlap = self.overlap.unwrap_or(options.overlap);
+        }
         let builder = Config {
-            splits: self.splits,
+            splits,
             alpha: self.alpha,
             count: self.count,
             max_leaf: self.max_leaf,
@@ -219,6 +232,10 @@ fn main() -> ExitCode {
 fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     let recipe = arguments.recipe();
     recipe.check()?;
+    let cuts = matches!(recipe.builder.splits, Splits::Spatial(_));
+    if !cuts && (arguments.max_duplication.is_some() || arguments.overlap.is_some()) {
+        return Err(Failure::new("--max-duplication and --overlap are for --splits spatial: add that"));
+    }
     let in_input =
         |error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", arguments.input.display()));
     let bytes = MappedFile::open(&arguments.input)?;
@@ -257,7 +274,7 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         geometries: before.geometries,
         order: ordered.as_ref().map(|(orders, _)| orders.as_slice()),
         meta: Some(&meta.to_string()),
-        flags: before.header.flags & flag::FLATTENED,
+        flags: before.header.flags & flag::FLATTENED | if cuts { flag::SPATIAL_SPLITS } else { 0 },
         producer: &recipe.builder.producer(recipe.heuristic.name()),
     };
     bvh::write(&mut output, &contents).map_err(|error| output.write_error(error))?;
@@ -265,7 +282,8 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
 
     let mut report = json!({
         "triangles": before.triangles.len(),
-        "left_out": before.triangles.len() - tree.primitives.len(),
+        "left_out": before.triangles.iter().filter(|triangle| !triangle.is_finite()).count(),
+        "references": tree.primitives.len(),
         "training_queries": training.len(),
         "seconds": seconds,
         "threads": pool.current_num_threads(),

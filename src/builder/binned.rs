@@ -16,18 +16,18 @@ use glam::{BVec4A, Vec4};
 use rayon::prelude::*;
 
 /// Nodes with more references are binned and divided by several threads.
-const PARALLEL: usize = 1 << 16;
+pub(super) const PARALLEL: usize = 1 << 16;
 /// References that a thread takes at a time there.
-const BLOCK: usize = 1 << 13;
+pub(super) const BLOCK: usize = 1 << 13;
 
 /// The references of a node, and where they are moved when they are divided.
 pub struct BinnedReferences<'a> {
-    list: &'a mut [Reference],
-    spare: &'a mut [Reference],
+    pub(super) list: &'a mut [Reference],
+    pub(super) spare: &'a mut [Reference],
     /// Bounds of the centroids.
-    centroids: PaddedAabb,
-    half_unit: f32,
-    bins: Bins,
+    pub(super) centroids: PaddedAabb,
+    pub(super) half_unit: f32,
+    pub(super) bins: Bins,
 }
 
 /// A candidate: references whose bin on `axis` is below `bin` go left.
@@ -43,7 +43,7 @@ pub enum Plane {
 
 /// Maps centroids to bins: (centroid - lower) · scale, cut off at the last.
 #[derive(Clone, Copy, Debug)]
-struct Grid {
+pub(super) struct Grid {
     lower: Vec4,
     scale: Vec4,
     last: Vec4,
@@ -51,7 +51,7 @@ struct Grid {
 }
 
 impl Grid {
-    fn new(centroids: &PaddedAabb, bins: usize, half_unit: f32) -> Grid {
+    pub(super) fn new(centroids: &PaddedAabb, bins: usize, half_unit: f32) -> Grid {
         let extent = centroids.upper - centroids.lower;
         // An axis that is flat, or so thin that the quotient overflows, has everything in bin 0: no candidate.
         let usable = extent.cmpgt(Vec4::splat(MIN_EXTENT));
@@ -114,7 +114,7 @@ impl<const N: usize> Histogram<N> {
         }
     }
 
-    /// The candidate of least cost.
+    /// The candidate of least cost, and that cost.
     fn best<P: Probability, W: Weight>(
         &self,
         bins: usize,
@@ -123,7 +123,7 @@ impl<const N: usize> Histogram<N> {
         probability: &P,
         state: &P::State,
         weight: &W,
-    ) -> Option<Split<Plane>> {
+    ) -> Option<(Split<Plane>, f32)> {
         let cuts = [0, 1, 2].map(|axis| {
             // An axis without extent has no candidates.
             let bins = if grid.scale[axis] == 0.0 { 1 } else { bins };
@@ -155,14 +155,15 @@ impl<const N: usize> Histogram<N> {
         }
         let (axis, candidate, left_count) = best?;
         let around = |bins: &[PaddedAabb]| bins.iter().fold(PaddedAabb::EMPTY, |sum, bin| sum.union(bin));
-        Some(Split {
+        let split = Split {
             plane: Plane::Bin { axis, bin: candidate + 1 },
             left: Side { primitives: left_count, bounds: around(&self.bounds[axis][..=candidate]) },
             right: Side {
                 primitives: total - left_count,
                 bounds: around(&self.bounds[axis][candidate + 1..bins]),
             },
-        })
+        };
+        Some((split, least))
     }
 }
 
@@ -190,17 +191,17 @@ impl Cuts for Planes<'_> {
     }
 }
 
-const EMPTY: Side = Side { primitives: 0, bounds: PaddedAabb::EMPTY };
+pub(super) const EMPTY: Side = Side { primitives: 0, bounds: PaddedAabb::EMPTY };
 
 /// Adds a bin to a side.
 #[inline(always)]
-fn grow(side: &mut Side, (bounds, &count): (&PaddedAabb, &u32)) -> Option<Side> {
+pub(super) fn grow(side: &mut Side, (bounds, &count): (&PaddedAabb, &u32)) -> Option<Side> {
     *side = Side { primitives: side.primitives + count as usize, bounds: side.bounds.union(bounds) };
     Some(*side)
 }
 
 /// Bounds of the centroids of references.
-fn centroid_bounds(references: &[Reference], half_unit: f32) -> PaddedAabb {
+pub(super) fn centroid_bounds(references: &[Reference], half_unit: f32) -> PaddedAabb {
     references.iter().fold(PaddedAabb::EMPTY, |sum, r| sum.grown(r.centroid(half_unit)))
 }
 
@@ -219,13 +220,29 @@ impl<'a> BinnedReferences<'a> {
         BinnedReferences { list, spare, centroids, half_unit, bins }
     }
 
+    /// The candidate of least cost, and that cost.
+    pub(super) fn cheapest<P: Probability, W: Weight>(
+        &self,
+        probability: &P,
+        state: &P::State,
+        weight: &W,
+    ) -> Option<(Split<Plane>, f32)> {
+        // The capacity is a constant so that the many small nodes do not pay for 32 bins.
+        match self.bins.of(self.list.len()) {
+            bins @ 0..=4 => self.find::<4, _, _>(bins, probability, state, weight),
+            bins @ 5..=8 => self.find::<8, _, _>(bins, probability, state, weight),
+            bins @ 9..=32 => self.find::<32, _, _>(bins, probability, state, weight),
+            bins => self.find::<MAX_BINS, _, _>(bins, probability, state, weight),
+        }
+    }
+
     fn find<const N: usize, P: Probability, W: Weight>(
         &self,
         bins: usize,
         probability: &P,
         state: &P::State,
         weight: &W,
-    ) -> Option<Split<Plane>> {
+    ) -> Option<(Split<Plane>, f32)> {
         let grid = Grid::new(&self.centroids, bins, self.half_unit);
         let mut histogram = Histogram::<N>::empty();
         if self.list.len() < PARALLEL {
@@ -263,13 +280,7 @@ impl NodeReferences for BinnedReferences<'_> {
             let side = |reference: &Reference| Side { primitives: 1, bounds: reference.bounds() };
             return Some(Split { plane: Plane::Middle, left: side(left), right: side(right) });
         }
-        // The capacity is a constant so that the many small nodes do not pay for 32 bins.
-        match self.bins.of(self.list.len()) {
-            bins @ 0..=4 => self.find::<4, _, _>(bins, probability, state, weight),
-            bins @ 5..=8 => self.find::<8, _, _>(bins, probability, state, weight),
-            bins @ 9..=32 => self.find::<32, _, _>(bins, probability, state, weight),
-            bins => self.find::<MAX_BINS, _, _>(bins, probability, state, weight),
-        }
+        self.cheapest(probability, state, weight).map(|(split, _)| split)
     }
 
     /// Halves along the widest axis of the centroids, or of the list's order when they are all in one place.
@@ -308,7 +319,8 @@ impl NodeReferences for BinnedReferences<'_> {
                         },
                     )
                 } else {
-                    divide_blocks(list, spare, left_count, &grid, axis, bin)
+                    let (left, right) = spare.split_at_mut(left_count);
+                    divide_blocks(list, left, right, &grid, axis, bin)
                 };
                 let (old_left, old_right) = list.split_at_mut(left_count);
                 let (new_left, new_right) = spare.split_at_mut(left_count);
@@ -334,7 +346,7 @@ impl NodeReferences for BinnedReferences<'_> {
 /// Divides references, in order, and returns the bounds of both sides' centroids. `store` is given each reference,
 /// whether it goes right, and how many went to the left and to the right before it.
 #[inline(always)]
-fn divide_block(
+pub(super) fn divide_block(
     references: &[Reference],
     grid: &Grid,
     axis: usize,
@@ -371,10 +383,10 @@ fn divide_block(
 }
 
 /// [`divide_block`] on several threads: a first pass counts, so that each block knows where its references go.
-fn divide_blocks(
+pub(super) fn divide_blocks(
     references: &[Reference],
-    out: &mut [Reference],
-    left_count: usize,
+    mut left: &mut [Reference],
+    mut right: &mut [Reference],
     grid: &Grid,
     axis: usize,
     bin: usize,
@@ -382,7 +394,6 @@ fn divide_blocks(
     let is_left = |r: &&Reference| grid.position(r.centroid(grid.half_unit))[axis] < bin as f32;
     let left_counts: Vec<usize> =
         references.par_chunks(BLOCK).map(|block| block.iter().filter(is_left).count()).collect();
-    let (mut left, mut right) = out.split_at_mut(left_count);
     let mut blocks = Vec::with_capacity(left_counts.len());
     for (block, &count) in references.chunks(BLOCK).zip(&left_counts) {
         let (left_here, left_later) = left.split_at_mut(count);

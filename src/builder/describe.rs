@@ -2,7 +2,7 @@
 //!
 //! Nothing here may differ between two runs on the same input: no times, no paths, no number of threads.
 
-use super::{Bins, Config, Count, MAX_BINS, Splits};
+use super::{Bins, Config, Count, MAX_BINS, Splits, spatial};
 use serde_json::{Value, json};
 use std::fmt;
 use std::str::FromStr;
@@ -10,16 +10,17 @@ use std::str::FromStr;
 impl FromStr for Splits {
     type Err = String;
 
-    /// `sweep`, `binned` (adaptive) or `binned:N`.
+    /// `sweep`, `spatial` (with the default options), `binned` (adaptive) or `binned:N`.
     fn from_str(text: &str) -> Result<Splits, String> {
         let bins = match text.split_once(':') {
             None if text == "sweep" => return Ok(Splits::Sweep),
+            None if text == "spatial" => return Ok(Splits::Spatial(spatial::Options::default())),
             None if text == "binned" => Bins::Adaptive,
             Some(("binned", bins)) => match bins.parse() {
                 Ok(bins) if (2..=MAX_BINS).contains(&bins) => Bins::Fixed(bins),
                 _ => return Err(format!("expected 2 to {MAX_BINS} bins")),
             },
-            _ => return Err("expected binned, binned:N or sweep".into()),
+            _ => return Err("expected binned, binned:N, sweep or spatial".into()),
         };
         Ok(Splits::Binned { bins })
     }
@@ -29,6 +30,7 @@ impl fmt::Display for Splits {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match self {
             Splits::Sweep => write!(f, "sweep"),
+            Splits::Spatial(_) => write!(f, "spatial"),
             Splits::Binned { bins: Bins::Adaptive } => write!(f, "binned"),
             Splits::Binned { bins: Bins::Fixed(bins) } => write!(f, "binned:{bins}"),
         }
@@ -72,6 +74,10 @@ impl Config {
             "count": self.count.to_string(),
             "max_leaf": self.max_leaf,
         });
+        if let Splits::Spatial(spatial::Options { max_duplication, overlap }) = self.splits {
+            meta["max_duplication"] = max_duplication.into();
+            meta["overlap"] = overlap.into();
+        }
         if self.max_leaf > 1 {
             meta["c_i"] = self.c_i.into();
             meta["c_p"] = self.c_p.into();
@@ -86,10 +92,20 @@ mod tests {
 
     #[test]
     fn splits_and_counts_are_read_as_they_are_shown() {
-        for text in ["sweep", "binned", "binned:2", "binned:256"] {
+        for text in ["sweep", "spatial", "binned", "binned:2", "binned:256"] {
             assert_eq!(text.parse::<Splits>().map(|splits| splits.to_string()), Ok(text.into()));
         }
-        for text in ["", "binned:", "binned:1", "binned:257", "binned:-3", "sweep:4", "Sweep", "binned:2:3"] {
+        for text in [
+            "",
+            "binned:",
+            "binned:1",
+            "binned:257",
+            "binned:-3",
+            "sweep:4",
+            "spatial:4",
+            "Sweep",
+            "binned:2:3",
+        ] {
             assert!(text.parse::<Splits>().is_err(), "{text}");
         }
         for text in ["n", "n-1"] {

@@ -15,6 +15,7 @@
 use super::binned::BinnedReferences;
 use super::cost::Weight;
 use super::reference::{Reference, References};
+use super::spatial::{self, SpatialReferences};
 use super::sweep::SweepReferences;
 use super::{Config, MAX_DEPTH, Splits};
 use crate::geometry::padded::PaddedAabb;
@@ -41,6 +42,11 @@ pub trait NodeReferences: Send + Sized {
     /// How many there are; at least one.
     fn len(&self) -> usize;
 
+    /// How many there can be at most in the leaves below, when some are duplicated.
+    fn capacity(&self) -> usize {
+        self.len()
+    }
+
     /// The candidate of least cost, if there is any. Called for two or more references.
     fn best_split<P: Probability, W: Weight>(
         &mut self,
@@ -52,8 +58,13 @@ pub trait NodeReferences: Send + Sized {
     /// A split in the middle, for when no candidate will do. Both sides have at least half, rounded down.
     fn halves(&mut self) -> Split<Self::Plane>;
 
-    /// Carries `split` out.
+    /// Carries `split` out. Neither side gets more references than the split says.
     fn divide(self, split: &Split<Self::Plane>) -> (Self, Self);
+
+    /// The box of all references, of which a split promised that it would lie in `promised`.
+    fn bounds(&self, promised: &PaddedAabb) -> PaddedAabb {
+        *promised
+    }
 
     /// Writes the triangles of the references, in order.
     fn triangles(&self, out: &mut [u32]);
@@ -66,6 +77,9 @@ pub struct Builder<'a, P, W> {
     pub config: &'a Config,
     pub progress: &'a Progress,
 }
+
+/// In the list of primitives: a place that no reference came to.
+const UNUSED: u32 = u32::MAX;
 
 /// A subtree that is to be built: its input, and where its output goes.
 struct Job<'a, R, S> {
@@ -92,7 +106,7 @@ struct Subtree {
 impl<P: Probability, W: Weight> Builder<'_, P, W> {
     /// Builds the tree over `references`, of which there is at least one.
     pub fn run(&self, references: References) -> Tree {
-        let References { mut list, bounds, half_unit } = references;
+        let References { triangles, mut list, bounds, half_unit } = references;
         match self.config.splits {
             Splits::Binned { bins } => {
                 // Zeroed by the system, page by page when it is first touched, on the thread that does.
@@ -103,13 +117,20 @@ impl<P: Probability, W: Weight> Builder<'_, P, W> {
                 let mut columns = SweepReferences::columns(list, half_unit);
                 self.root(columns.references(), bounds)
             }
+            Splits::Spatial(options) => {
+                let count = list.len();
+                let scene = spatial::Scene::new(triangles, &bounds, half_unit, &options);
+                let mut list = spatial::with_room(list, &options);
+                let mut spare: Vec<Reference> = bytemuck::zeroed_vec(list.len());
+                self.root(SpatialReferences::new(&mut list, count, &mut spare, bounds, &scene), bounds)
+            }
         }
     }
 
     fn root<R: NodeReferences>(&self, references: R, bounds: PaddedAabb) -> Tree {
-        let count = references.len();
-        let mut nodes: Vec<Node> = bytemuck::zeroed_vec(2 * count - 1);
-        let mut primitives = vec![0; count];
+        let (count, capacity) = (references.len(), references.capacity());
+        let mut nodes: Vec<Node> = bytemuck::zeroed_vec(2 * capacity - 1);
+        let mut primitives = vec![UNUSED; capacity];
         let state = self.probability.root(&bounds);
         let (root, below) = nodes.split_at_mut(1);
         root[0] = self
@@ -124,8 +145,11 @@ impl<P: Probability, W: Weight> Builder<'_, P, W> {
                 first_primitive: 0,
             })
             .node;
-        if self.config.max_leaf > 1 {
+        if self.config.max_leaf > 1 || capacity > count {
             close_gaps(&mut nodes);
+        }
+        if capacity > count {
+            close_primitive_gaps(&mut nodes, &mut primitives);
         }
         Tree { nodes, primitives }
     }
@@ -138,27 +162,32 @@ impl<P: Probability, W: Weight> Builder<'_, P, W> {
         let probability =
             if may_be_leaf { self.probability.node(&job.state, &job.bounds) as f64 } else { 0.0 };
         let leaf = Subtree {
-            node: Node::leaf(job.bounds.into(), job.first_primitive as u32, count as u32),
+            // All that is in the places of this subtree, used or not.
+            node: Node::leaf(job.bounds.into(), job.first_primitive as u32, job.primitives.len() as u32),
             cost: self.config.c_p * count as f64 * probability,
         };
         if count == 1 {
-            job.references.triangles(job.primitives);
+            job.references.triangles(&mut job.primitives[..1]);
             return leaf;
         }
         let split = job.references.best_split(self.probability, &job.state, &self.weight);
         let split = split.filter(|split| fits(split, job.level)).unwrap_or_else(|| job.references.halves());
         let (left_references, right_references) = job.references.divide(&split);
+        let left_bounds = left_references.bounds(&split.left.bounds);
+        let right_bounds = right_references.bounds(&split.right.bounds);
+        let asked = |references: &R, bounds| self.decides(references.len()).then_some(bounds);
         let [left_state, right_state] = self.probability.split(
             job.state,
-            [&split.left, &split.right].map(|side| self.decides(side.primitives).then_some(&side.bounds)),
+            [asked(&left_references, &left_bounds), asked(&right_references, &right_bounds)],
         );
         let (pair, below) = job.nodes.split_at_mut(2);
-        let left_below = 2 * split.left.primitives - 2;
+        let left_capacity = left_references.capacity();
+        let left_below = 2 * left_capacity - 2;
         let (left_nodes, right_nodes) = below.split_at_mut(left_below);
-        let (left_primitives, right_primitives) = job.primitives.split_at_mut(split.left.primitives);
+        let (left_primitives, right_primitives) = job.primitives.split_at_mut(left_capacity);
         let left = Job {
             references: left_references,
-            bounds: split.left.bounds,
+            bounds: left_bounds,
             state: left_state,
             level: job.level + 1,
             nodes: left_nodes,
@@ -168,13 +197,13 @@ impl<P: Probability, W: Weight> Builder<'_, P, W> {
         };
         let right = Job {
             references: right_references,
-            bounds: split.right.bounds,
+            bounds: right_bounds,
             state: right_state,
             level: job.level + 1,
             nodes: right_nodes,
             first_node: job.first_node + 2 + left_below,
             primitives: right_primitives,
-            first_primitive: job.first_primitive + split.left.primitives,
+            first_primitive: job.first_primitive + left_capacity,
         };
         let (left, right) = if count >= SEQUENTIAL {
             rayon::join(|| self.reported(left), || self.reported(right))
@@ -214,7 +243,7 @@ fn fits<Plane>(split: &Split<Plane>, level: usize) -> bool {
     level + 1 + levels_below <= MAX_DEPTH
 }
 
-/// Moves nodes together where subtrees used fewer than the 2 n - 1 places they had, keeping the layout.
+/// Moves nodes together where subtrees used fewer than the places they had, keeping the layout.
 fn close_gaps(nodes: &mut Vec<Node>) {
     // Pairs in depth-first order, with the parent to tell where they went. A pair never moves up past one that
     // is still to be read, because those all stand behind it.
@@ -237,4 +266,29 @@ fn close_gaps(nodes: &mut Vec<Node>) {
     }
     nodes.truncate(end);
     nodes.shrink_to_fit();
+}
+
+/// The same for primitives. A triangle of which a leaf got several parts stands in it once.
+fn close_primitive_gaps(nodes: &mut [Node], primitives: &mut Vec<u32>) {
+    let mut end = 0;
+    let mut open = vec![0];
+    while let Some(index) = open.pop() {
+        let node = nodes[index];
+        if !node.is_leaf() {
+            open.extend(node.range().rev());
+            continue;
+        }
+        primitives[node.range()].sort_unstable();
+        let first = end;
+        for place in node.range() {
+            let triangle = primitives[place];
+            if triangle != UNUSED && (end == first || primitives[end - 1] != triangle) {
+                primitives[end] = triangle;
+                end += 1;
+            }
+        }
+        nodes[index] = Node::leaf(node.bounds(), first as u32, (end - first) as u32);
+    }
+    primitives.truncate(end);
+    primitives.shrink_to_fit();
 }

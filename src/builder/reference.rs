@@ -51,7 +51,9 @@ pub fn centroid(bounds: &PaddedAabb, half_unit: f32) -> Vec4 {
 }
 
 /// The references of a scene, and what bounds them.
-pub struct References {
+pub struct References<'a> {
+    /// All triangles of the scene: references number them, and splits of space cut them.
+    pub triangles: &'a [Triangle],
     pub list: Vec<Reference>,
     /// Box around all of them.
     pub bounds: PaddedAabb,
@@ -62,9 +64,9 @@ pub struct References {
 /// Triangles that a thread takes at a time.
 const BLOCK: usize = 1 << 14;
 
-impl References {
+impl<'a> References<'a> {
     /// One reference for each triangle with finite vertices, in order; the others are left out, as Embree does.
-    pub fn of(triangles: &[Triangle]) -> References {
+    pub fn of(triangles: &'a [Triangle]) -> References<'a> {
         let mut list: Vec<Reference> = bytemuck::zeroed_vec(triangles.len());
         let (bounds, finite) = list
             .par_chunks_mut(BLOCK)
@@ -87,6 +89,6 @@ impl References {
         if finite < triangles.len() {
             list.retain(|reference| triangles[reference.triangle() as usize].is_finite());
         }
-        References { list, bounds, half_unit: 0.5 * unit_for(&bounds) }
+        References { triangles, list, bounds, half_unit: 0.5 * unit_for(&bounds) }
     }
 }
