@@ -170,7 +170,7 @@ fn trees(comparison: &Comparison, recording: &RecordingResult, names: &[String])
             format!("{:.2}", facts.sah_cost),
             format!("{:.3}", facts.epo),
             format!("{:.2}", tree.leaf_count_variability()),
-            format!("{:.4e}", tree.t_r() as f64),
+            format!("{:.3e}", tree.t_r() as f64),
             format!("{gamma:.3e}"),
             format!("{:.3}", relative(gamma, first_gamma)),
         ]);
