@@ -41,8 +41,9 @@ fn compare(path: &Path) -> Result<(), Box<dyn std::error::Error>> {
     let trace = Trace::new(&Bvh::parse(&bvh)?, &Rays::parse(&rays)?, u64::MAX, 1)?;
     println!("{}: {} triangles, {} queries", path.display(), trace.triangles.len(), trace.queries.len());
     let sets = QUERIES.map(|most| {
-        let step = trace.queries.len().div_ceil(most).max(1);
-        RaySet::of_records(trace.queries.iter().step_by(step).map(|query| &query.record))
+        let count = most.min(trace.queries.len());
+        let place = |index: usize| index * trace.queries.len() / count;
+        RaySet::of_records((0..count).map(|index| &trace.queries[place(index)].record))
     });
     println!(
         "{:<8}{:>8}{:>10}{:>12}{:>12}{:>8}{:>12}{:>12}{:>8}",

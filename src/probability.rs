@@ -11,6 +11,7 @@
 pub mod area;
 pub mod blend;
 pub mod rays;
+pub mod shrunk;
 
 use crate::geometry::padded::PaddedAabb;
 

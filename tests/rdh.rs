@@ -8,6 +8,7 @@ use embree_trace::geometry::padded::PaddedAabb;
 use embree_trace::geometry::{Aabb, Ray, Vec3};
 use embree_trace::probability::blend::Blend;
 use embree_trace::probability::rays::{Count, RaySet, Rays};
+use embree_trace::probability::shrunk::Shrunk;
 use embree_trace::probability::{Cuts, Probability, Scores, Side};
 use embree_trace::random::Random;
 use embree_trace::traverse::PreparedRay;
@@ -75,6 +76,31 @@ fn states_and_candidates_count_what_overlaps() {
     }
 }
 
+/// With very many rays a part is counted: near the truth, and in the measure of the node's own P.
+#[test]
+fn a_part_of_very_many_rays_says_what_all_do() {
+    let rays = rays(40_000, 3);
+    let set = RaySet::of_rays(rays.iter().copied());
+    let scene = Aabb { lower: Vec3::splat(-100.0), upper: Vec3::splat(100.0) };
+    let boxes: Vec<Aabb> = (1..=20)
+        .map(|i| Aabb { lower: scene.lower, upper: Vec3::new(10.0 * i as f32 - 100.0, 100.0, 100.0) })
+        .collect();
+    let score = |measure: Count| {
+        let probability = Rays::new(&set, &scene.into(), measure);
+        let root = probability.root(&scene.into());
+        let [mut left, mut right] = [0; 2].map(|_| vec![0.0; boxes.len()]);
+        let mut scores = [Scores { left: &mut left, right: &mut right }];
+        probability.score(&root, 0, &[Growing(&boxes)], &mut scores);
+        left
+    };
+    let all = score(Count::PLAIN);
+    for (part, all) in score(Count::default()).into_iter().zip(&all) {
+        // Five standard deviations of a share among 8192.
+        assert!((part - all).abs() < 5.0 * 0.5 / 8192f32.sqrt() * 40_000.0, "{part} {all}");
+    }
+    assert!(all.is_sorted() && all[0] < all[19]);
+}
+
 #[test]
 fn trees_are_valid_and_the_same_for_any_number_of_threads() {
     let triangles = sphere();
@@ -87,6 +113,7 @@ fn trees_are_valid_and_the_same_for_any_number_of_threads() {
                 [
                     ray_tree(&triangles, &set, Count::default(), &config),
                     ray_tree(&triangles, &set, Blend::new(0.9).unwrap(), &config),
+                    ray_tree(&triangles, &set, Shrunk::new(1.0).unwrap(), &config),
                 ]
             });
             trees.map(Result::unwrap)
@@ -141,6 +168,7 @@ fn odd_rays_make_valid_trees() {
             for tree in [
                 ray_tree(&triangles, &set, Count::PLAIN, &config),
                 ray_tree(&triangles, &set, Blend::new(1.0).unwrap(), &config),
+                ray_tree(&triangles, &set, Shrunk::new(1.0).unwrap(), &config),
             ] {
                 validate(&tree.unwrap(), &triangles, 200).unwrap();
             }

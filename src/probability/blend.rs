@@ -1,7 +1,7 @@
 //! Rays and area blended: P = w · (rays on the child / rays on the node) + (1 - w) · (area of the child / area of the
 //! node). With no ray on the node, the ray share counts as 1 (paper, section 5.3).
 
-use super::rays::{Measure, Terms};
+use super::rays::Measure;
 use thiserror::Error;
 
 /// The weight of the ray share: 0 is the surface area heuristic, 1 full ray information.
@@ -27,13 +27,28 @@ impl Blend {
     }
 }
 
+/// P = `per_ray` · rays + `constant` + `per_area` · area of the box / area of the node.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Terms {
+    per_ray: f32,
+    constant: f32,
+    per_area: f32,
+}
+
 impl Measure for Blend {
+    type Terms = Terms;
+
     fn terms(&self, rays: usize) -> Terms {
         let per_area = 1.0 - self.weight;
         match rays {
             0 => Terms { per_ray: 0.0, constant: self.weight, per_area },
             _ => Terms { per_ray: self.weight / rays as f32, constant: 0.0, per_area },
         }
+    }
+
+    #[inline(always)]
+    fn value(&self, terms: &Terms, rays: f32, area: f32) -> f32 {
+        terms.per_ray * rays + (terms.constant + terms.per_area * area)
     }
 }
 

@@ -2,32 +2,35 @@
 //! of spatial data structures", 2009; paper, sections 2.4 and 5).
 //!
 //! A [`RaySet`] holds the effective segments, ready for box tests. [`Rays`] is the [`Probability`]: each node's state is
-//! the list of rays that overlap its box, handed down and thinned at each split; candidates are counted by [`nested`].
-//! What P makes of a count is a [`Measure`]: [`Count`] here, or [`super::blend::Blend`].
+//! the list of rays that overlap its box, handed down and thinned at each split; candidates are counted by `nested`
+//! and the list is divided by `thin`; both test boxes with `block`.
+//! What P makes of a count is a [`Measure`]: [`Count`] here, [`super::blend::Blend`] or
+//! [`super::shrunk::Shrunk`].
+//!
+//! At nodes with very many rays an even part of them is counted: it says as well which candidate is the best. The lists are
+//! always complete.
 //!
 //! Counts are whole numbers, so neither their order nor the number of threads can change a tree.
 
-pub mod nested;
+mod block;
+mod nested;
 mod segment;
+mod thin;
 
 use super::area::Area;
 use super::{Cuts, Probability, Scores, Side};
 use crate::format::rays::Record;
 use crate::geometry::Ray;
 use crate::geometry::padded::PaddedAabb;
-use nested::{Candidates, with_candidates};
+use nested::{Nested, SEQUENCES, with_nested};
 use rayon::prelude::*;
-pub use segment::Segment;
-
-/// Nodes with more rays are searched and divided by several threads.
-const PARALLEL: usize = 1 << 13;
-/// Rays that a thread takes at a time there.
-const BLOCK: usize = 1 << 11;
+use segment::Packed;
+use std::fmt::Debug;
 
 /// Recorded rays over their effective segments: the training set of a tree.
 #[derive(Clone, Debug, Default)]
 pub struct RaySet {
-    segments: Vec<Segment>,
+    segments: Vec<Packed>,
 }
 
 impl RaySet {
@@ -38,7 +41,7 @@ impl RaySet {
 
     /// Rays over [tnear, tfar]. Those that overlap no box at all are left out.
     pub fn of_rays(rays: impl IntoIterator<Item = Ray>) -> RaySet {
-        let mut segments: Vec<Segment> = rays.into_iter().filter_map(|ray| Segment::new(&ray)).collect();
+        let mut segments: Vec<Packed> = rays.into_iter().filter_map(|ray| Packed::new(&ray)).collect();
         // More could not be numbered; as a sample, the first are as good as any.
         segments.truncate(u32::MAX as usize);
         RaySet { segments }
@@ -53,19 +56,26 @@ impl RaySet {
     }
 }
 
-/// What P makes of the rays on a box: P = `per_ray` · rays + `constant` + `per_area` · area of the box / area of the node.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Terms {
-    pub per_ray: f32,
-    pub constant: f32,
-    pub per_area: f32,
-}
-
 /// A way to turn counts into P.
 pub trait Measure: Sync {
+    /// What is the same for all boxes inside a node.
+    type Terms: Copy + Debug + Send + Sync;
+
     /// The terms for the boxes inside a node that `rays` rays overlap.
-    fn terms(&self, rays: usize) -> Terms;
+    fn terms(&self, rays: usize) -> Self::Terms;
+
+    /// P of a box that `rays` rays overlap, a whole number or an estimate, and that has the share `area` of its node's surface
+    /// (0 when that has none).
+    fn value(&self, terms: &Self::Terms, rays: f32, area: f32) -> f32;
+
+    /// The most rays that are counted at a node; of more, an even part.
+    fn most_counted(&self) -> usize {
+        MOST_COUNTED
+    }
 }
+
+/// See [`Measure::most_counted`]. Enough to estimate a share of a half within 0.6%.
+const MOST_COUNTED: usize = 1 << 13;
 
 /// P_R itself, with a floor for boxes without rays.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -79,6 +89,7 @@ pub struct Count {
 
 impl Count {
     /// The count and nothing else, as in the paper's figure 1: of candidates that as many rays overlap, the first is taken.
+    /// All rays are counted at every node.
     pub const PLAIN: Count = Count { floor: 0.0, area: 0.0 };
 }
 
@@ -91,8 +102,17 @@ impl Default for Count {
 }
 
 impl Measure for Count {
-    fn terms(&self, _rays: usize) -> Terms {
-        Terms { per_ray: 1.0, constant: self.floor, per_area: self.area }
+    type Terms = ();
+
+    fn terms(&self, _rays: usize) {}
+
+    #[inline(always)]
+    fn value(&self, _terms: &(), rays: f32, area: f32) -> f32 {
+        rays + (self.floor + self.area * area)
+    }
+
+    fn most_counted(&self) -> usize {
+        if *self == Count::PLAIN { usize::MAX } else { MOST_COUNTED }
     }
 }
 
@@ -110,33 +130,24 @@ impl<'a, M: Measure> Rays<'a, M> {
         Rays { set, area: Area::of_scene(scene), measure }
     }
 
-    fn state(&self, rays: Vec<u32>, bounds: &PaddedAabb) -> NodeRays {
+    fn state(&self, rays: Vec<u32>, bounds: &PaddedAabb) -> NodeRays<M::Terms> {
         let area = self.area.of(bounds);
-        let mut terms = self.measure.terms(rays.len());
         // A node without area (a point, a line) has boxes without area.
-        if area > 0.0 {
-            terms.per_area /= area;
-        } else {
-            terms.per_area = 0.0;
-        }
-        NodeRays { rays, terms }
-    }
-
-    fn value(&self, state: &NodeRays, rays: usize, bounds: &PaddedAabb) -> f32 {
-        let Terms { per_ray, constant, per_area } = state.terms;
-        per_ray * rays as f32 + (constant + per_area * self.area.of(bounds))
+        let per_area = if area > 0.0 { 1.0 / area } else { 0.0 };
+        NodeRays { terms: self.measure.terms(rays.len()), rays, per_area }
     }
 }
 
 /// The rays that overlap a node.
 #[derive(Debug)]
-pub struct NodeRays {
+pub struct NodeRays<T> {
     rays: Vec<u32>,
-    /// With `per_area` already divided by the node's area.
-    terms: Terms,
+    terms: T,
+    /// 1 / area of the node, or 0.
+    per_area: f32,
 }
 
-impl NodeRays {
+impl<T> NodeRays<T> {
     /// How many there are.
     pub fn count(&self) -> usize {
         self.rays.len()
@@ -144,95 +155,79 @@ impl NodeRays {
 }
 
 impl<M: Measure> Probability for Rays<'_, M> {
-    type State = NodeRays;
+    type State = NodeRays<M::Terms>;
 
-    fn root(&self, bounds: &PaddedAabb) -> NodeRays {
+    fn root(&self, bounds: &PaddedAabb) -> NodeRays<M::Terms> {
         let all = 0..self.set.len() as u32;
         let segments = &self.set.segments;
-        let rays = all.into_par_iter().filter(|&ray| segments[ray as usize].overlaps(bounds)).collect();
+        let rays =
+            all.into_par_iter().filter(|&ray| segments[ray as usize].segment().overlaps(bounds)).collect();
         self.state(rays, bounds)
     }
 
-    fn node(&self, state: &NodeRays, bounds: &PaddedAabb) -> f32 {
-        self.value(state, state.rays.len(), bounds)
+    fn node(&self, state: &Self::State, bounds: &PaddedAabb) -> f32 {
+        let area = self.area.of(bounds) * state.per_area;
+        self.measure.value(&state.terms, state.rays.len() as f32, area)
     }
 
-    fn score<C: Cuts>(&self, state: &NodeRays, free: usize, cuts: &[C], scores: &mut [Scores]) {
-        for (cuts, scores) in cuts.iter().zip(scores) {
-            self.nested(state, free, cuts.left(), scores.left.len(), scores.left.iter_mut());
-            self.nested(state, free, cuts.right(), scores.right.len(), scores.right.iter_mut().rev());
+    fn score<C: Cuts>(&self, state: &Self::State, free: usize, cuts: &[C], scores: &mut [Scores]) {
+        let NodeRays { rays, terms, per_area } = state;
+        let area = |side: &Side| self.area.of(&side.bounds) * per_area;
+        if rays.is_empty() {
+            for (cuts, scores) in cuts.iter().zip(scores) {
+                let left = scores.left.iter_mut().zip(cuts.left());
+                let right = scores.right.iter_mut().rev().zip(cuts.right());
+                left.for_each(|(score, side)| *score = self.measure.value(terms, 0.0, area(&side)));
+                right.for_each(|(score, side)| *score = self.measure.value(terms, 0.0, area(&side)));
+            }
+            return;
         }
-    }
-
-    fn split(&self, state: NodeRays, children: [Option<&PaddedAabb>; 2]) -> [NodeRays; 2] {
-        let segments = &self.set.segments;
-        let rays = &state.rays;
-        let side = |bounds: Option<&PaddedAabb>| {
-            let bounds = bounds.unwrap_or(&PaddedAabb::EMPTY);
-            let on = |ray: u32| segments[ray as usize].overlaps(bounds);
-            let kept = if rays.is_empty() {
-                Vec::new()
-            } else if rays.len() <= PARALLEL {
-                thinned(rays, on)
-            } else {
-                let parts: Vec<Vec<u32>> = rays.par_chunks(BLOCK).map(|block| thinned(block, on)).collect();
-                parts.concat()
-            };
-            self.state(kept, bounds)
+        let part = self.part(rays);
+        let (counted, worth) = match &part {
+            Some(part) => (&part[..], (rays.len() as f64 / part.len() as f64) as f32),
+            None => (&rays[..], 1.0),
         };
-        if rays.len() <= PARALLEL {
-            children.map(side)
-        } else {
-            let (left, right) = rayon::join(|| side(children[0]), || side(children[1]));
-            [left, right]
+        for (cuts, scores) in cuts.chunks(SEQUENCES / 2).zip(scores.chunks_mut(SEQUENCES / 2)) {
+            with_nested(|nested: &mut Nested| {
+                nested.start(cuts.iter().map(|cuts| 2 * cuts.candidates()).sum());
+                for (cuts, scores) in cuts.iter().zip(&mut *scores) {
+                    // A box is seen once: its area waits where its P will be.
+                    let (mut left, mut right) = (scores.left.iter_mut(), scores.right.iter_mut().rev());
+                    let note = |score: Option<&mut f32>, side: &Side| {
+                        if let Some(score) = score {
+                            *score = area(side);
+                        }
+                    };
+                    nested.add(cuts.left(), free, |side| note(left.next(), side));
+                    nested.add(cuts.right(), free, |side| note(right.next(), side));
+                }
+                let mut counts = nested.count(&self.set.segments, counted);
+                for scores in scores {
+                    let sides = scores.left.iter_mut().chain(scores.right.iter_mut().rev());
+                    for (score, count) in sides.zip(&mut counts) {
+                        *score = self.measure.value(terms, worth * count as f32, *score);
+                    }
+                }
+            });
         }
+    }
+
+    fn split(&self, state: Self::State, children: [Option<&PaddedAabb>; 2]) -> [Self::State; 2] {
+        let boxes = children.map(|bounds| bounds.unwrap_or(&PaddedAabb::EMPTY));
+        let [left, right] = if state.rays.is_empty() || children == [None; 2] {
+            [Vec::new(), Vec::new()]
+        } else {
+            thin::divide(&self.set.segments, &state.rays, boxes)
+        };
+        [self.state(left, boxes[0]), self.state(right, boxes[1])]
     }
 }
 
 impl<M: Measure> Rays<'_, M> {
-    /// Writes P of `count` nested sides.
-    fn nested<'o>(
-        &self,
-        state: &NodeRays,
-        free: usize,
-        sides: impl Iterator<Item = Side>,
-        count: usize,
-        out: impl Iterator<Item = &'o mut f32>,
-    ) {
-        let Terms { per_ray, constant, per_area } = state.terms;
-        let fixed = |bounds: &PaddedAabb| constant + per_area * self.area.of(bounds);
-        if state.rays.is_empty() || per_ray == 0.0 {
-            for (out, side) in out.zip(sides) {
-                *out = fixed(&side.bounds);
-            }
-            return;
-        }
-        with_candidates(|candidates: &mut Candidates| {
-            candidates.start(count);
-            let mut written = Vec::with_capacity(count);
-            for (out, side) in out.zip(sides) {
-                *out = fixed(&side.bounds);
-                candidates.push(if side.primitives <= free { &PaddedAabb::EMPTY } else { &side.bounds });
-                written.push(out);
-            }
-            candidates.finish();
-            let counts = candidates.first_overlaps(&self.set.segments, &state.rays);
-            // What overlaps a box overlaps all larger ones.
-            let mut sum = 0;
-            for (out, &first) in written.into_iter().zip(counts) {
-                sum += first;
-                *out += per_ray * sum as f32;
-            }
-        });
+    /// An even part of `rays`, when there are more than are counted.
+    fn part(&self, rays: &[u32]) -> Option<Vec<u32>> {
+        let most = self.measure.most_counted();
+        let place = |index: usize| (index as u64 * rays.len() as u64 / most as u64) as usize;
+        (rays.len() > most).then(|| (0..most).map(|index| rays[place(index)]).collect())
     }
-}
-
-/// The rays for which `keep` holds, without memory for those that are dropped.
-fn thinned(rays: &[u32], keep: impl Fn(u32) -> bool) -> Vec<u32> {
-    let mut kept = Vec::with_capacity(rays.len());
-    kept.extend(rays.iter().copied().filter(|&ray| keep(ray)));
-    if kept.len() < rays.len() / 2 {
-        kept.shrink_to_fit();
-    }
-    kept
 }

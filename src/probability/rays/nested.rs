@@ -1,253 +1,296 @@
-//! How many rays overlap each of many nested boxes, without testing rays × boxes.
+//! How many rays overlap each side of all candidates of a node, without testing rays × boxes one by one.
 //!
-//! A ray that overlaps a box overlaps all larger ones, so it is enough to find the first box that it overlaps; a
-//! histogram of those and its running sum give every count. The search is 8-ary: boxes stand in blocks of eight,
-//! faces side by side, one vector test for a block; above them, the last (largest) box of each block stands in
-//! blocks again, up to a single one. So 8 boxes cost a ray one vector test, 64 two, a million seven.
+//! Boxes that are few are tested in blocks of eight, one vector test for each ray and block, whose result is the
+//! difference that the ray makes to eight counts. Of many, the nesting saves most: a ray that overlaps a box overlaps
+//! all larger ones, so it is enough to find the first box of each sequence that it overlaps; a histogram of those and
+//! its running sum are the counts. That search is 8-ary. The boxes of a sequence stand in blocks; above them, the last
+//! (largest) box of each block stands in blocks again, until there are no more than eight. To know which of k blocks
+//! to go to, k - 1 last boxes are enough; those of all sequences share blocks, where a ray meets them first.
+//! So 32 bins on three axes, 186 boxes, cost a ray 9 vector tests, and 1000 boxes of one sequence about four.
+//!
+//! Boxes equal to the one before, empty ones and those of sides that cost nothing take no place.
 
-use super::segment::Segment;
-use super::{BLOCK, PARALLEL};
+use super::block::{Block, LANES};
+use super::segment::{AHEAD, Packed, Segment};
 use crate::geometry::padded::PaddedAabb;
+use crate::probability::Side;
 use rayon::prelude::*;
 use std::cell::Cell;
 
-/// Boxes in a block.
-const LANES: usize = 8;
+/// Of no more boxes than this, each is tested.
+const FEW: usize = 48;
+/// Rays that are tested against one block after another while they are in the nearest cache.
+const NEAR: usize = 256;
+/// More rays are counted by several threads, each of which takes so many at a time, or more when the counts are many.
+const PARALLEL: usize = 1 << 13;
+/// Sequences that can be counted at a time: their places at the top fit in 64 bits.
+pub const SEQUENCES: usize = 8;
 
-/// Eight boxes: per axis the lower faces, then the upper faces.
-#[derive(Clone, Copy, Debug)]
-#[repr(C, align(64))]
-struct Block {
-    faces: [[[f32; LANES]; 2]; 3],
-}
+/// The place of a side that is not counted.
+const NOWHERE: u32 = u32::MAX;
 
-impl Block {
-    const ZERO: Block = Block { faces: [[[0.0; LANES]; 2]; 3] };
-
-    #[inline(always)]
-    fn set(&mut self, lane: usize, bounds: &PaddedAabb) {
-        for axis in 0..3 {
-            self.faces[axis][0][lane] = bounds.lower[axis];
-            self.faces[axis][1][lane] = bounds.upper[axis];
-        }
-    }
-
-    /// Copies the last of `filled` boxes to the lanes behind it: what overlaps them overlaps it, so they are never first.
-    fn fill(&mut self, filled: usize) {
-        for faces in self.faces.as_flattened_mut() {
-            let last = faces[filled - 1];
-            faces[filled..].fill(last);
-        }
-    }
-}
-
-/// Nested boxes, made ready for the search. Kept by each thread, so that a node allocates nothing.
+/// Sequences of nested boxes, made ready to be counted. Kept by each thread, so that a node allocates nothing.
 #[derive(Debug, Default)]
-pub struct Candidates {
-    /// All levels, the boxes themselves first.
+pub struct Nested {
+    few: bool,
     blocks: Vec<Block>,
-    /// Where each level starts in `blocks`.
-    levels: Vec<u32>,
-    count: usize,
-    /// By box: rays that overlap it first. One entry more, for rays that overlap none.
-    histogram: Vec<u32>,
-    /// By ray: the first box; only where several threads search.
-    first: Vec<u32>,
+    /// The last boxes between which a ray chooses first, of all sequences.
+    top: Vec<Block>,
+    top_boxes: usize,
+    sequences: Vec<Sequence>,
+    /// By side, in the order in which they came: its place in `counts`.
+    places: Vec<u32>,
+    /// Places that are taken.
+    boxes: usize,
+    /// By place: rays that overlap the box.
+    counts: Vec<u32>,
 }
 
-thread_local! {
-    static CANDIDATES: Cell<Option<Box<Candidates>>> = const { Cell::new(None) };
+/// A sequence of many boxes.
+#[derive(Clone, Copy, Debug)]
+struct Sequence {
+    /// The place of its first box.
+    first: u32,
+    /// Its boxes in `top`: the first bit, and one for each.
+    top_shift: u32,
+    top_mask: u32,
+    levels: [Level; LEVELS],
+    /// Levels that there are.
+    height: u32,
 }
 
-/// Lends the thread's memory to `work`. Work that is run meanwhile on the same thread (stolen by a wait) gets its own.
-pub fn with_candidates<T>(work: impl FnOnce(&mut Candidates) -> T) -> T {
-    let mut candidates = CANDIDATES.take().unwrap_or_default();
-    let result = work(&mut candidates);
-    CANDIDATES.set(Some(candidates));
-    result
-}
-
-impl Candidates {
-    /// Forgets the boxes before, and makes room for `count`.
-    pub fn start(&mut self, count: usize) {
-        self.blocks.clear();
-        // A seventh for the levels above, and their last blocks.
-        self.blocks.reserve(count.div_ceil(LANES) * 8 / 7 + 16);
-        self.count = 0;
-    }
-
-    /// Adds a box that contains the one before.
-    #[inline(always)]
-    pub fn push(&mut self, bounds: &PaddedAabb) {
-        let lane = self.count % LANES;
-        if lane == 0 {
-            self.blocks.push(Block::ZERO);
-        }
-        if let Some(block) = self.blocks.last_mut() {
-            block.set(lane, bounds);
-        }
-        self.count += 1;
-    }
-
-    /// Builds the levels above the boxes.
-    pub fn finish(&mut self) {
-        self.levels.clear();
-        self.levels.push(0);
-        if self.count == 0 {
-            return;
-        }
-        let (mut start, mut filled) = (0, self.count);
-        loop {
-            let end = self.blocks.len();
-            let rest = filled % LANES;
-            if rest != 0 {
-                self.blocks[end - 1].fill(rest);
-            }
-            if end - start == 1 {
-                return;
-            }
-            self.levels.push(end as u32);
-            filled = end - start;
-            for group in (start..end).step_by(LANES) {
-                let mut above = Block::ZERO;
-                for (lane, block) in self.blocks[group..end.min(group + LANES)].iter().enumerate() {
-                    for (to, from) in
-                        above.faces.as_flattened_mut().iter_mut().zip(block.faces.as_flattened())
-                    {
-                        to[lane] = from[LANES - 1];
-                    }
-                }
-                self.blocks.push(above);
-            }
-            start = end;
-        }
-    }
-
-    /// For each box, the number of `rays` that overlap it and none of the smaller ones.
-    pub fn first_overlaps(&mut self, segments: &[Segment], rays: &[u32]) -> &[u32] {
-        self.histogram.clear();
-        self.histogram.resize(self.count + 1, 0);
-        if self.count == 0 {
-            return &[];
-        }
-        let search = Search { blocks: &self.blocks, levels: &self.levels, none: self.count as u32 };
-        if rays.len() <= PARALLEL {
-            let histogram = &mut self.histogram;
-            search.each(segments, rays, |_, first| histogram[first as usize] += 1);
-        } else {
-            self.first.resize(rays.len(), 0);
-            let blocks = self.first.par_chunks_mut(BLOCK).zip(rays.par_chunks(BLOCK));
-            blocks.for_each(|(found, rays)| {
-                search.each(segments, rays, |index, first| found[index] = first);
-            });
-            for &first in &self.first {
-                self.histogram[first as usize] += 1;
-            }
-        }
-        &self.histogram[..self.count]
-    }
-}
-
-/// A search that runs.
-#[derive(Clone, Copy)]
-struct Search<'a> {
-    blocks: &'a [Block],
-    levels: &'a [u32],
-    /// The answer for a ray that overlaps no box.
+/// Blocks of boxes, or of the last boxes of other blocks.
+#[derive(Clone, Copy, Debug, Default)]
+struct Level {
+    /// The first block.
+    start: u32,
+    /// The answer when no box is overlapped: the last block of the level below, or the number of boxes.
     none: u32,
 }
 
-impl Search<'_> {
-    /// Calls `found` with the index in `rays` and the first box of each ray.
+/// Enough for 2³² boxes.
+const LEVELS: usize = 11;
+
+thread_local! {
+    static NESTED: Cell<Option<Box<Nested>>> = const { Cell::new(None) };
+}
+
+/// Lends the thread's memory to `work`. Work that is run meanwhile on the same thread (stolen by a wait) gets its own.
+pub fn with_nested<T>(work: impl FnOnce(&mut Nested) -> T) -> T {
+    let mut nested = NESTED.take().unwrap_or_default();
+    let result = work(&mut nested);
+    NESTED.set(Some(nested));
+    result
+}
+
+impl Nested {
+    /// Forgets what was before. At most `sides` will come, in at most [`SEQUENCES`] sequences.
+    pub fn start(&mut self, sides: usize) {
+        self.few = sides <= FEW;
+        self.blocks.clear();
+        self.top.clear();
+        self.top_boxes = 0;
+        self.sequences.clear();
+        self.places.clear();
+        self.places.reserve(sides);
+        self.boxes = 0;
+    }
+
+    /// Adds a sequence; `note` is called for each of its sides. Those of at most `free` primitives are not counted.
     #[inline(always)]
-    fn each(&self, segments: &[Segment], rays: &[u32], found: impl FnMut(usize, u32)) {
-        #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has AVX2, as was just asked.
-            return unsafe { self.each_avx2(segments, rays, found) };
+    pub fn add(&mut self, sides: impl Iterator<Item = Side>, free: usize, mut note: impl FnMut(&Side)) {
+        let first = self.boxes;
+        let start = self.blocks.len();
+        let mut last = PaddedAabb::EMPTY;
+        let mut place = NOWHERE;
+        // Few boxes fill the blocks without gaps.
+        let mut lane = if self.few { first } else { 0 };
+        for side in sides {
+            note(&side);
+            if side.primitives > free && side.bounds != last {
+                if lane.is_multiple_of(LANES) {
+                    self.blocks.push(Block::EMPTY);
+                }
+                if let Some(block) = self.blocks.last_mut() {
+                    block.set(lane % LANES, &side.bounds);
+                }
+                lane += 1;
+                place = self.boxes as u32;
+                self.boxes += 1;
+                last = side.bounds;
+            }
+            self.places.push(place);
         }
-        self.each_with(segments, rays, overlapped, found);
+        if !self.few && self.boxes > first {
+            self.build(first, start);
+        }
+    }
+
+    /// Makes the levels above the boxes of a sequence, whose first place and first block are given.
+    fn build(&mut self, first: usize, mut start: usize) {
+        let mut boxes = self.boxes - first;
+        let mut levels = [Level::default(); LEVELS];
+        let mut height = 0;
+        let mut none = boxes;
+        loop {
+            levels[height] = Level { start: start as u32, none: none as u32 };
+            height += 1;
+            let blocks = boxes.div_ceil(LANES);
+            if blocks <= LANES {
+                break;
+            }
+            let end = start + blocks;
+            for block in 0..blocks {
+                if block.is_multiple_of(LANES) {
+                    self.blocks.push(Block::EMPTY);
+                }
+                let from = self.blocks[start + block];
+                // The last block may not be full: its last box is the last of all.
+                let from_lane = (boxes - 1 - block * LANES).min(LANES - 1);
+                let above = self.blocks.len() - 1;
+                self.blocks[above].copy(block % LANES, &from, from_lane);
+            }
+            (start, boxes, none) = (end, blocks, blocks - 1);
+        }
+        let separators = boxes.div_ceil(LANES) - 1;
+        let top_shift = self.top_boxes as u32;
+        for block in 0..separators {
+            if self.top_boxes.is_multiple_of(LANES) {
+                self.top.push(Block::EMPTY);
+            }
+            let lane = self.top_boxes % LANES;
+            if let Some(top) = self.top.last_mut() {
+                top.copy(lane, &self.blocks[start + block], LANES - 1);
+            }
+            self.top_boxes += 1;
+        }
+        let top_mask = (1 << separators) - 1;
+        self.sequences.push(Sequence {
+            first: first as u32,
+            top_shift,
+            top_mask,
+            levels,
+            height: height as u32,
+        });
+        // A place more, for the rays that overlap none of the boxes.
+        self.boxes += 1;
+    }
+
+    /// For each side, in the order in which they came, the number of `rays` that overlap it; 0 for one that is not
+    /// counted.
+    pub fn count(&mut self, segments: &[Packed], rays: &[u32]) -> impl Iterator<Item = u32> {
+        let mut counts = std::mem::take(&mut self.counts);
+        counts.clear();
+        counts.resize(self.boxes.next_multiple_of(LANES), 0);
+        if self.boxes > 0 {
+            if rays.len() <= PARALLEL {
+                self.count_part(segments, rays, &mut counts);
+            } else {
+                let part = PARALLEL.max(counts.len());
+                let parts = rays.par_chunks(part).map(|rays| {
+                    let mut counts = vec![0; counts.len()];
+                    self.count_part(segments, rays, &mut counts);
+                    counts
+                });
+                let add = |mut a: Vec<u32>, b: Vec<u32>| {
+                    a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+                    a
+                };
+                counts = parts.reduce_with(add).unwrap_or(counts);
+            }
+        }
+        for (index, sequence) in self.sequences.iter().enumerate() {
+            let end = self.sequences.get(index + 1).map_or(self.boxes, |next| next.first as usize);
+            // What overlaps a box overlaps all larger ones.
+            let mut sum = 0;
+            for count in &mut counts[sequence.first as usize..end] {
+                sum += *count;
+                *count = sum;
+            }
+        }
+        self.counts = counts;
+        self.places.iter().map(|&place| self.counts.get(place as usize).copied().unwrap_or(0))
+    }
+
+    fn count_part(&self, segments: &[Packed], rays: &[u32], counts: &mut [u32]) {
+        #[cfg(target_arch = "x86_64")]
+        if super::block::avx2::available() {
+            // SAFETY: the processor can.
+            return unsafe { self.count_avx2(segments, rays, counts) };
+        }
+        self.count_plain(segments, rays, counts);
+    }
+
+    fn count_plain(&self, segments: &[Packed], rays: &[u32], counts: &mut [u32]) {
+        if self.few {
+            self.count_few(rays, counts, |block, rays, counts| {
+                rays.iter().for_each(|&ray| block.count(&segments[ray as usize].segment(), counts));
+            });
+        } else {
+            self.search(segments, rays, counts, Block::overlapped);
+        }
     }
 
     #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn each_avx2(&self, segments: &[Segment], rays: &[u32], found: impl FnMut(usize, u32)) {
-        self.each_with(segments, rays, |block, ray| overlapped_avx2(block, ray), found);
+    #[target_feature(enable = "avx2,bmi1,popcnt")]
+    fn count_avx2(&self, segments: &[Packed], rays: &[u32], counts: &mut [u32]) {
+        use super::block::avx2;
+        if self.few {
+            self.count_few(rays, counts, |block, rays, counts| {
+                avx2::count_all(block, rays.iter().map(|&ray| segments[ray as usize].segment()), counts);
+            });
+        } else {
+            self.search(segments, rays, counts, |block, ray| avx2::overlapped(block, ray));
+        }
     }
 
+    /// Tests every box; place by place these are the counts.
     #[inline(always)]
-    fn each_with(
+    fn count_few(&self, rays: &[u32], counts: &mut [u32], count: impl Fn(&Block, &[u32], &mut [u32; LANES])) {
+        for rays in rays.chunks(NEAR) {
+            for (block, counts) in self.blocks.iter().zip(counts.as_chunks_mut().0) {
+                count(block, rays, counts);
+            }
+        }
+    }
+
+    /// Adds, for each box, the rays that overlap it and none of the smaller ones of its sequence.
+    #[inline(always)]
+    fn search(
         &self,
-        segments: &[Segment],
+        segments: &[Packed],
         rays: &[u32],
+        counts: &mut [u32],
         overlapped: impl Fn(&Block, &Segment) -> u32,
-        mut found: impl FnMut(usize, u32),
     ) {
         for (index, &ray) in rays.iter().enumerate() {
-            let segment = &segments[ray as usize];
-            // Only at the top can a ray overlap none of the boxes: below, it overlaps the last of the block.
-            let mut first = 0;
-            for &level in self.levels.iter().rev() {
-                let mask = overlapped(&self.blocks[(level + first) as usize], segment);
-                if mask == 0 {
-                    first = self.none;
-                    break;
-                }
-                first = first * LANES as u32 + mask.trailing_zeros();
+            if let Some(&ahead) = rays.get(index + AHEAD) {
+                segments[ahead as usize].prefetch();
             }
-            found(index, first);
+            let ray = &segments[ray as usize].segment();
+            let mut top = 0;
+            for (index, block) in self.top.iter().enumerate() {
+                top |= (overlapped(block, ray) as u64) << (index * LANES);
+            }
+            for sequence in &self.sequences {
+                // Of those last boxes, the smaller ones are not overlapped: their number is the block to go to.
+                let missed = !(top >> sequence.top_shift) as u32 & sequence.top_mask;
+                let mut at = missed.count_ones();
+                for level in sequence.levels[..sequence.height as usize].iter().rev() {
+                    let mask = overlapped(&self.blocks[(level.start + at) as usize], ray);
+                    // No bit: 32, which is more than there are in this block, the last.
+                    at = (at * LANES as u32 + mask.trailing_zeros()).min(level.none);
+                }
+                counts[(sequence.first + at) as usize] += 1;
+            }
         }
     }
-}
-
-/// Bit i: the ray overlaps box i of the block.
-#[inline(always)]
-fn overlapped(block: &Block, ray: &Segment) -> u32 {
-    let mut entry = [ray.near_inverse.w; LANES];
-    let mut exit = [ray.far_inverse.w; LANES];
-    for axis in 0..3 {
-        let down = (ray.downwards[axis] & 1) as usize;
-        let faces = &block.faces[axis];
-        for lane in 0..LANES {
-            let near = (faces[down][lane] - ray.origin[axis]) * ray.near_inverse[axis];
-            let far = (faces[down ^ 1][lane] - ray.origin[axis]) * ray.far_inverse[axis];
-            entry[lane] = if near > entry[lane] { near } else { entry[lane] };
-            exit[lane] = if far < exit[lane] { far } else { exit[lane] };
-        }
-    }
-    (0..LANES).map(|lane| ((entry[lane] <= exit[lane]) as u32) << lane).sum()
-}
-
-/// [`overlapped`] in eight lanes; the same operations, so the same answers.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-#[inline]
-fn overlapped_avx2(block: &Block, ray: &Segment) -> u32 {
-    use std::arch::x86_64::*;
-    let mut entry = _mm256_set1_ps(ray.near_inverse.w);
-    let mut exit = _mm256_set1_ps(ray.far_inverse.w);
-    let origin = ray.origin.to_array();
-    let (near_inverse, far_inverse) = (ray.near_inverse.to_array(), ray.far_inverse.to_array());
-    for axis in 0..3 {
-        let down = (ray.downwards[axis] & 1) as usize;
-        let faces = &block.faces[axis];
-        // SAFETY: eight floats each, and a block's rows are 32-byte aligned.
-        let (near, far) =
-            unsafe { (_mm256_load_ps(faces[down].as_ptr()), _mm256_load_ps(faces[down ^ 1].as_ptr())) };
-        let origin = _mm256_set1_ps(origin[axis]);
-        let near = _mm256_mul_ps(_mm256_sub_ps(near, origin), _mm256_set1_ps(near_inverse[axis]));
-        let far = _mm256_mul_ps(_mm256_sub_ps(far, origin), _mm256_set1_ps(far_inverse[axis]));
-        // NaN loses: the second operand is returned.
-        entry = _mm256_max_ps(near, entry);
-        exit = _mm256_min_ps(far, exit);
-    }
-    _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(entry, exit)) as u32
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Aabb, Ray, Vec3};
+    use crate::geometry::{Ray, Vec3};
 
     fn random_stream(seed: u64) -> impl FnMut() -> f32 {
         let mut random = crate::random::Random::new(seed);
@@ -258,74 +301,87 @@ mod tests {
     #[test]
     fn counts_are_those_of_testing_everything() {
         let mut random = random_stream(7);
-        for count in [1, 2, 7, 8, 9, 31, 63, 64, 65, 100, 511, 512, 513, 5000] {
-            let mut boxes = Vec::new();
-            let mut sum = PaddedAabb::EMPTY;
-            for index in 0..count {
-                // Leading boxes may be empty, and many are equal to the one before.
-                if index > count / 5 && random() > 0.0 {
-                    let size = index as f32 / count as f32;
-                    sum = sum.grown((Vec3::new(random(), random(), random()) * size).extend(0.0));
-                }
-                boxes.push(sum);
-            }
-            let segments: Vec<Segment> = (0..300)
+        for lengths in [
+            &[1][..],
+            &[2, 3],
+            &[7, 8, 9, 24],
+            &[8, 8, 8, 8, 8, 8],
+            &[49],
+            &[31, 31, 31, 31, 31, 31],
+            &[63, 64, 65, 1, 9, 17],
+            &[8, 0, 64, 64, 64, 64, 64, 64],
+            &[511, 512, 513],
+            &[5000, 600],
+        ] {
+            let sequences: Vec<Vec<Side>> = lengths
+                .iter()
+                .map(|&length| {
+                    let mut bounds = PaddedAabb::EMPTY;
+                    let grow = |index| {
+                        // Leading boxes may be empty, and many are equal to the one before.
+                        if index > length / 5 && random() > 0.0 {
+                            let size = index as f32 / length as f32;
+                            let point = Vec3::new(random(), random(), random()) * size;
+                            bounds = bounds.grown(point.extend(0.0));
+                        }
+                        Side { primitives: index, bounds }
+                    };
+                    (0..length).map(grow).collect()
+                })
+                .collect();
+            let segments: Vec<Packed> = (0..300)
                 .filter_map(|index| {
-                    let direction =
-                        Vec3::new(random(), random(), if index % 7 == 0 { 0.0 } else { random() });
+                    let z = if index % 7 == 0 { 0.0 } else { random() };
+                    let direction = Vec3::new(random(), random(), z);
                     let tfar = if index % 3 == 0 { f32::INFINITY } else { random().abs() * 3.0 };
                     let origin = 1.5 * Vec3::new(random(), random(), random());
-                    Segment::new(&Ray { origin, tnear: 0.0, direction, tfar })
+                    Packed::new(&Ray { origin, tnear: 0.0, direction, tfar })
                 })
                 .collect();
             let rays: Vec<u32> = (0..segments.len() as u32).collect();
-            let found = with_candidates(|candidates| {
-                candidates.start(count);
-                boxes.iter().for_each(|bounds| candidates.push(bounds));
-                candidates.finish();
-                candidates.first_overlaps(&segments, &rays).to_vec()
-            });
-            let mut sum = 0;
-            for (index, bounds) in boxes.iter().enumerate() {
-                sum += found[index] as usize;
-                let truth = segments.iter().filter(|segment| segment.overlaps(bounds)).count();
-                assert_eq!(sum, truth, "box {index} of {count}");
+            for free in [0, 4] {
+                let counted: Vec<u32> = with_nested(|nested| {
+                    nested.start(lengths.iter().sum());
+                    for sequence in &sequences {
+                        nested.add(sequence.iter().copied(), free, |_| ());
+                    }
+                    nested.count(&segments, &rays).collect()
+                });
+                assert_eq!(counted.len(), lengths.iter().sum::<usize>());
+                for (side, counted) in sequences.iter().flatten().zip(counted) {
+                    let truth = segments.iter().filter(|ray| ray.segment().overlaps(&side.bounds)).count();
+                    let truth = if side.primitives > free { truth } else { 0 };
+                    assert_eq!(counted as usize, truth, "box {} of {lengths:?}", side.primitives);
+                }
             }
         }
     }
 
     #[test]
-    fn vector_and_plain_tests_agree_with_the_traversals() {
-        let mut random = random_stream(11);
-        for case in 0..2000 {
-            let mut block = Block::ZERO;
-            let boxes: Vec<PaddedAabb> = (0..LANES)
-                .map(|lane| {
-                    let (a, b) =
-                        (Vec3::new(random(), random(), random()), Vec3::new(random(), random(), random()));
-                    let bounds = PaddedAabb::from(Aabb { lower: a.min(b), upper: a.max(b) });
-                    block.set(lane, &bounds);
-                    bounds
+    fn plain_and_vector_searches_agree() {
+        let mut random = random_stream(5);
+        for sides in [10, 200] {
+            let mut bounds = PaddedAabb::EMPTY;
+            let sequence: Vec<Side> = (0..sides)
+                .map(|primitives| {
+                    bounds = bounds.grown(Vec3::new(random(), random(), random()).extend(0.0));
+                    Side { primitives, bounds }
                 })
                 .collect();
-            let zero = |on: bool, value: f32| if on { 0.0 } else { value };
-            let ray = Ray {
-                origin: Vec3::new(random(), random(), random()) * 2.0,
-                tnear: if case % 11 == 0 { -1.0 } else { 0.0 },
-                direction: Vec3::new(zero(case % 3 == 0, random()), zero(case % 5 == 0, random()), random()),
-                tfar: if case % 2 == 0 { f32::INFINITY } else { random().abs() },
-            };
-            let segment = Segment::new(&ray).unwrap();
-            let prepared = crate::traverse::ray::PreparedRay::new(&ray);
-            let truth: u32 = (0..LANES)
-                .map(|lane| (prepared.entry(&boxes[lane].into(), prepared.tfar).is_some() as u32) << lane)
-                .sum();
-            assert_eq!(overlapped(&block, &segment), truth, "{ray:?}");
-            #[cfg(target_arch = "x86_64")]
-            if std::arch::is_x86_feature_detected!("avx2") {
-                // SAFETY: the processor has AVX2.
-                assert_eq!(unsafe { overlapped_avx2(&block, &segment) }, truth, "{ray:?}");
-            }
+            let segments: Vec<Packed> = (0..200)
+                .filter_map(|_| {
+                    let [origin, direction] = [0; 2].map(|_| Vec3::new(random(), random(), random()));
+                    Packed::new(&Ray { origin: 2.0 * origin, tnear: 0.0, direction, tfar: 2.0 })
+                })
+                .collect();
+            let rays: Vec<u32> = (0..segments.len() as u32).collect();
+            let mut nested = Nested::default();
+            nested.start(sides);
+            nested.add(sequence.iter().copied(), 0, |_| ());
+            let [mut plain, mut chosen] = [0; 2].map(|_| vec![0; nested.boxes.next_multiple_of(LANES)]);
+            nested.count_plain(&segments, &rays, &mut plain);
+            nested.count_part(&segments, &rays, &mut chosen);
+            assert_eq!(plain[..nested.boxes], chosen[..nested.boxes]);
         }
     }
 }

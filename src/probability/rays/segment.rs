@@ -2,12 +2,59 @@
 
 use crate::geometry::Ray;
 use crate::geometry::padded::PaddedAabb;
-use crate::traverse::ray::PreparedRay;
+use crate::traverse::ray::{PADDING, PreparedRay};
 use glam::Vec4;
 
-/// A ray over its effective segment, 64 bytes.
+/// How many rays of a list are asked for before their turn.
+pub(super) const AHEAD: usize = 24;
+
+/// A ray over its effective segment as it is kept, 32 bytes: long lists of rays are read from memory at every node, so their
+/// size is what the time at the top of a tree depends on.
 #[derive(Clone, Copy, Debug)]
-#[repr(C, align(64))]
+#[repr(C, align(32))]
+pub struct Packed {
+    origin_and_tnear: Vec4,
+    /// [`PreparedRay::near_inverse`].
+    inverse_and_tfar: Vec4,
+}
+
+impl Packed {
+    /// None for a ray that cannot overlap any box (see [`PreparedRay`]).
+    pub fn new(ray: &Ray) -> Option<Packed> {
+        let ray = PreparedRay::new(ray);
+        (ray.tnear <= ray.tfar).then(|| Packed {
+            origin_and_tnear: ray.origin.extend(ray.tnear),
+            inverse_and_tfar: ray.near_inverse.extend(ray.tfar),
+        })
+    }
+
+    /// Asks for the ray to be brought near, without waiting: of a long list, each is elsewhere in memory.
+    #[inline(always)]
+    pub(super) fn prefetch(&self) {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: a prefetch reads nothing that a program could see, from an address that is valid besides.
+        unsafe {
+            use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+            _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(self).cast());
+        }
+    }
+
+    /// What tests need: the same numbers as in a [`PreparedRay`].
+    #[inline(always)]
+    pub fn segment(&self) -> Segment {
+        let (origin, inverse) = (self.origin_and_tnear, self.inverse_and_tfar);
+        let downwards = inverse.cmplt(Vec4::ZERO).bitmask();
+        Segment {
+            origin: origin.with_w(0.0),
+            near_inverse: inverse.with_w(origin.w),
+            far_inverse: (inverse * (1.0 + PADDING)).with_w(inverse.w),
+            downwards: [downwards & 1, downwards >> 1 & 1, downwards >> 2 & 1],
+        }
+    }
+}
+
+/// A ray over its effective segment, ready for box tests.
+#[derive(Clone, Copy, Debug)]
 pub struct Segment {
     pub(super) origin: Vec4,
     /// 1 / direction, for distances to near faces; the fourth lane is [`PreparedRay::tnear`].
@@ -19,17 +66,6 @@ pub struct Segment {
 }
 
 impl Segment {
-    /// None for a ray that cannot overlap any box (see [`PreparedRay`]).
-    pub fn new(ray: &Ray) -> Option<Segment> {
-        let ray = PreparedRay::new(ray);
-        (ray.tnear <= ray.tfar).then(|| Segment {
-            origin: ray.origin.extend(0.0),
-            near_inverse: ray.near_inverse.extend(ray.tnear),
-            far_inverse: ray.far_inverse.extend(ray.tfar),
-            downwards: ray.downwards.map(|axis| axis as u32),
-        })
-    }
-
     /// Whether the segment overlaps a box: [`PreparedRay::entry`] is not `None`.
     #[inline(always)]
     pub fn overlaps(&self, bounds: &PaddedAabb) -> bool {
