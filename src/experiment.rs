@@ -18,7 +18,9 @@ pub mod traversal;
 
 use crate::builder::BuildError;
 use crate::files::FileError;
+use crate::optimize::OptimizeError;
 use crate::probability::blend::WeightError;
+use crate::probability::shrunk::StrengthError;
 use crate::tree::TreeView;
 use measure::{Cost, IdentityError};
 use std::io::{self, Write};
@@ -44,6 +46,10 @@ pub enum ExperimentError {
     TooFew { found: usize, least: usize },
     #[error(transparent)]
     Trace(#[from] TraceError),
+    #[error(transparent)]
+    Optimize(#[from] OptimizeError),
+    #[error(transparent)]
+    Strength(#[from] StrengthError),
     #[error(transparent)]
     Weight(#[from] WeightError),
     #[error(transparent)]

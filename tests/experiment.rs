@@ -28,7 +28,7 @@ const AGAIN: f64 = 40.0;
 #[test]
 fn figure_1_comes_out_as_published() {
     let settings = Settings { quick: true, seed: 1, trials: 10 };
-    let rows = shapes::run(&settings).unwrap();
+    let rows = shapes::run(&settings, false).unwrap();
     for shape in Shape::ALL {
         let again = published::shapes_again(shape);
         let of = |weight: f64| {
@@ -69,10 +69,26 @@ fn figure_1_comes_out_as_published() {
 }
 
 #[test]
+fn optimised_trees_cost_no_more_than_greedy_ones_on_every_shape_and_focus() {
+    let settings = Settings { quick: true, seed: 2, trials: 1 };
+    let rows = shapes::run(&settings, true).unwrap();
+    assert_eq!(rows.len(), 3 * Shape::ALL.len() * published::FOCI.len());
+    for trial in rows.chunks(3) {
+        let [area, full, optimized] = trial else { unreachable!("three trees a trial") };
+        assert_eq!(area.cost.rays, optimized.cost.rays);
+        assert!(optimized.experiment.starts_with(full.experiment));
+        // Where all rays take one way, both may be the best there is.
+        assert!(optimized.cost.box_tests <= full.cost.box_tests, "{full:?} {optimized:?}");
+    }
+    let cost = |tree: usize| rows.iter().skip(tree).step_by(3).map(|row| row.cost.t_r).sum::<u64>();
+    assert!(cost(2) < cost(1));
+}
+
+#[test]
 fn the_blend_goes_from_area_to_rays_and_its_ends_are_those_of_figure_1() {
     let settings = Settings { quick: true, seed: 3, trials: 2 };
     let rows = blend::run(&settings).unwrap();
-    let ends = shapes::run(&settings).unwrap();
+    let ends = shapes::run(&settings, false).unwrap();
     for row in &rows {
         if let Some(end) = ends.iter().find(|end| {
             end.experiment == "sphere"

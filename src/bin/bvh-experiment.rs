@@ -16,6 +16,7 @@ use std::process::ExitCode;
 const EXAMPLES: &str = "\
 Examples:
   bvh-experiment shapes --quick
+  bvh-experiment shapes --optimize
   bvh-experiment blend --out figures --trials 10 --seed 1
   bvh-experiment shapes --save traces
   bvh-experiment alpha casts.bvh
@@ -35,7 +36,7 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Experiment {
     /// Trees with full ray information against SAH, on sphere, plane, hemisphere and tube, over focus
-    Shapes(Generated),
+    Shapes(Shapes),
     /// Rays and area blended by weight, on the sphere
     Blend(Generated),
     /// T_R over the exponent of the count (the powerplant figure) on any recorded scene
@@ -73,6 +74,15 @@ struct Generated {
     /// Also write the first trials' geometry and rays there, as .bvh and .rays
     #[arg(long, value_name = "DIR")]
     save: Option<PathBuf>,
+}
+
+#[derive(Args)]
+struct Shapes {
+    #[command(flatten)]
+    generated: Generated,
+    /// Also trees from all rays that are optimised on them
+    #[arg(long)]
+    optimize: bool,
 }
 
 #[derive(Args)]
@@ -121,10 +131,11 @@ fn main() -> ExitCode {
 
 fn run(experiment: &Experiment) -> Result<Outcome, Failure> {
     match experiment {
-        Experiment::Shapes(options) => {
+        Experiment::Shapes(Shapes { generated: options, optimize }) => {
             let settings = options.settings();
-            let rows = experiment::shapes::run(&settings)?;
+            let rows = experiment::shapes::run(&settings, *optimize)?;
             options.save(&Shape::ALL, &settings)?;
+            write!(std::io::stdout(), "{}", experiment::shapes::markdown(&rows))?;
             let csv = |out: &mut OutputFile| experiment::write_csv(&rows, out);
             options.common.write("shapes", csv, experiment::shapes::figure(&rows))
         }

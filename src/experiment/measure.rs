@@ -3,6 +3,8 @@
 use crate::builder::reference::References;
 use crate::builder::{BuildError, Config, build_with};
 use crate::geometry::{Ray, Triangle};
+use crate::optimize::measure::{AreaMeasure, Estimate, RayMeasure};
+use crate::optimize::{self, OptimizeError};
 use crate::probability::area::Area;
 use crate::probability::rays::{Measure, RaySet, Rays};
 use crate::progress::Progress;
@@ -90,4 +92,28 @@ pub fn ray_tree(
     let references = References::of(triangles);
     let rays = Rays::new(set, &references.bounds, measure);
     build_with(references, &rays, config, &Progress::hidden())
+}
+
+/// Optimises a tree by area, with the default stages: the control of every claim about rays.
+///
+/// # Errors
+/// See [`optimize::run`].
+pub fn optimize_by_area(tree: &mut Tree, triangles: &[Triangle]) -> Result<(), OptimizeError> {
+    let measure = AreaMeasure::new(&References::of(triangles).bounds);
+    optimize::run(tree, &measure, &optimize::Config::default(), &Progress::hidden()).map(drop)
+}
+
+/// Optimises a tree by effective segments.
+///
+/// # Errors
+/// See [`optimize::run`].
+pub fn optimize_by_rays(
+    tree: &mut Tree,
+    triangles: &[Triangle],
+    segments: &[Ray],
+    estimate: Estimate,
+    config: &optimize::Config,
+) -> Result<(), OptimizeError> {
+    let measure = RayMeasure::new(segments, estimate, &References::of(triangles).bounds);
+    optimize::run(tree, &measure, config, &Progress::hidden()).map(drop)
 }

@@ -1,13 +1,15 @@
-//! How few rays are enough: trees from the queries of 16 × 16 to 256 × 256 pixels, counted on all queries.
+//! How few rays are enough: trees from the queries of 16 × 16 to 256 × 256 pixels, counted on all queries. Each is built
+//! from plain counts, and from counts shrunk towards area, which matters where few rays are left at a node.
 
 use super::measure::{area_tree, ray_tree};
-use super::trace::{Query, Trace, prepared, t_r};
+use super::trace::{Trace, prepared, t_r};
 use super::{ExperimentError, Settings, summary};
-use crate::builder::Config;
-use crate::probability::rays::{Count, RaySet};
+use crate::builder::{BuildError, Config};
+use crate::probability::rays::{Count, Measure, RaySet};
+use crate::probability::shrunk::Shrunk;
 use crate::progress::Progress;
 use crate::random::Random;
-use crate::report::plot::{BLACK, BLUE, Chart, Figure, GREEN, Mark, Series, Stroke, VERMILLION};
+use crate::report::plot::{BLACK, BLUE, Chart, Figure, GREEN, Mark, PURPLE, Series, Stroke, VERMILLION};
 use crate::tree::Tree;
 use std::collections::HashSet;
 use std::io::{self, Write};
@@ -15,9 +17,17 @@ use std::io::{self, Write};
 /// Edges of the sampled images, in pixels.
 pub const EDGES: [u64; 5] = [16, 32, 64, 128, 256];
 
+/// Plain counts, and counts shrunk towards area.
+pub const ESTIMATES: [&str; 2] = ["counts", "shrunk"];
+
+/// Rays that area is worth to the shrunk counts.
+const STRENGTH: f64 = 1.0;
+
 /// One tree, counted on all queries.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
+    /// What is made of the counts, of [`ESTIMATES`]; `area` for the tree from area.
+    pub estimate: &'static str,
     /// Edge of the image; 0 for the tree from area.
     pub edge: u64,
     pub trial: u64,
@@ -25,7 +35,7 @@ pub struct Row {
     pub training: u64,
     /// Per query.
     pub t_r: f64,
-    /// Divided by that of the tree from all queries.
+    /// Divided by that of the tree from all queries, by plain counts.
     pub relative: f64,
 }
 
@@ -38,16 +48,18 @@ pub fn run(trace: &Trace, settings: &Settings) -> Result<Vec<Row>, ExperimentErr
     if (groups.len() as u64) < EDGES[0] * EDGES[0] {
         return Err(ExperimentError::TooFew { found: groups.len(), least: (EDGES[0] * EDGES[0]) as usize });
     }
-    let config = Config::default();
     let count = |tree: &Tree| t_r(&prepared(tree, trace), &trace.queries) as f64 / trace.queries.len() as f64;
-    let from = |queries: &mut dyn Iterator<Item = &Query>| {
-        let set = RaySet::of_records(queries.map(|query| &query.record));
-        let tree = ray_tree(&trace.triangles, &set, Count::default(), &config)?;
-        Ok::<_, ExperimentError>(count(&tree))
+    let from = |set: &RaySet, estimate: &str| -> Result<f64, ExperimentError> {
+        let tree = match estimate {
+            "shrunk" => built(trace, set, Shrunk::new(STRENGTH)?)?,
+            _ => built(trace, set, Count::default())?,
+        };
+        Ok(count(&tree))
     };
-    let all = from(&mut trace.queries.iter())?;
-    let area = count(&area_tree(&trace.triangles, &config)?);
-    let mut rows = vec![Row { edge: 0, trial: 0, training: 0, t_r: area, relative: area / all }];
+    let all = from(&RaySet::of_records(trace.queries.iter().map(|query| &query.record)), ESTIMATES[0])?;
+    let area = count(&area_tree(&trace.triangles, &Config::default())?);
+    let mut rows =
+        vec![Row { estimate: "area", edge: 0, trial: 0, training: 0, t_r: area, relative: area / all }];
     let edges = EDGES.iter().step_by(if settings.quick { 2 } else { 1 });
     let progress = Progress::new("sampling", edges.len() as u64 * settings.trials);
     for &edge in edges {
@@ -57,14 +69,21 @@ pub fn run(trace: &Trace, settings: &Settings) -> Result<Vec<Row>, ExperimentErr
         }
         for trial in 0..settings.trials {
             let chosen = draw(&groups, pixels, &mut Random::stream(settings.seed, &[edge, trial]));
-            let mut queries = trace.queries.iter().filter(|query| chosen.contains(&query.group));
+            let queries = trace.queries.iter().filter(|query| chosen.contains(&query.group));
             let training = queries.clone().count() as u64;
-            let t_r = from(&mut queries)?;
-            rows.push(Row { edge, trial, training, t_r, relative: t_r / all });
+            let set = RaySet::of_records(queries.map(|query| &query.record));
+            for estimate in ESTIMATES {
+                let t_r = from(&set, estimate)?;
+                rows.push(Row { estimate, edge, trial, training, t_r, relative: t_r / all });
+            }
             progress.advance(1);
         }
     }
     Ok(rows)
+}
+
+fn built(trace: &Trace, set: &RaySet, measure: impl Measure) -> Result<Tree, BuildError> {
+    ray_tree(&trace.triangles, set, measure, &Config::default())
 }
 
 /// `count` of `groups`, without repetition.
@@ -78,14 +97,14 @@ fn draw(groups: &[u64], count: usize, random: &mut Random) -> HashSet<u64> {
     groups.into_iter().collect()
 }
 
-/// `edge,trial,training_queries,t_r,relative`; edge 0 is the tree from area.
+/// `estimate,edge,trial,training_queries,t_r,relative`; edge 0 is the tree from area.
 ///
 /// # Errors
 /// What `out` says.
 pub fn write_csv(rows: &[Row], out: &mut impl Write) -> io::Result<()> {
-    writeln!(out, "edge,trial,training_queries,t_r,relative")?;
-    for Row { edge, trial, training, t_r, relative } in rows {
-        writeln!(out, "{edge},{trial},{training},{t_r:.4},{relative:.5}")?;
+    writeln!(out, "estimate,edge,trial,training_queries,t_r,relative")?;
+    for Row { estimate, edge, trial, training, t_r, relative } in rows {
+        writeln!(out, "{estimate},{edge},{trial},{training},{t_r:.4},{relative:.5}")?;
     }
     Ok(())
 }
@@ -93,16 +112,22 @@ pub fn write_csv(rows: &[Row], out: &mut impl Write) -> io::Result<()> {
 /// T_R over the size of the image, relative to the tree from all queries.
 pub fn figure(rows: &[Row], scene: &str) -> Figure {
     let place = |edge: u64| EDGES.iter().position(|&e| e == edge).unwrap_or(0) as f64;
-    let ours = summary(rows.iter().filter(|row| row.edge > 0).map(|row| (place(row.edge), row.relative)));
-    let band = ours.iter().map(|p| (p.x, p.mean - p.error, p.mean + p.error)).collect();
-    let line = ours.iter().map(|p| (p.x, p.mean)).collect();
     let across = |y: f64| vec![(-0.3, y), (4.3, y)];
-    let mut series = vec![
-        Series::band(VERMILLION, band),
-        Series::line("from the queries of the image", VERMILLION, Stroke::Solid, Mark::Disk, line),
+    let mut series = Vec::new();
+    for (estimate, label, color) in
+        [("counts", "from counts", VERMILLION), ("shrunk", "from counts shrunk towards area", PURPLE)]
+    {
+        let of = rows.iter().filter(|row| row.estimate == estimate);
+        let ours = summary(of.map(|row| (place(row.edge), row.relative)));
+        let band = ours.iter().map(|p| (p.x, p.mean - p.error, p.mean + p.error)).collect();
+        let line = ours.iter().map(|p| (p.x, p.mean)).collect();
+        series.push(Series::band(color, band));
+        series.push(Series::line(label, color, Stroke::Solid, Mark::Disk, line));
+    }
+    series.extend([
         Series::line("from all queries", BLACK, Stroke::Dotted, Mark::None, across(1.0)),
         Series::line("16×16, published (SRDH 2012)", GREEN, Stroke::Dashed, Mark::Ring, vec![(0.0, 1.06)]),
-    ];
+    ]);
     if let Some(area) = rows.iter().find(|row| row.edge == 0) {
         series.push(Series::line("from area (SAH)", BLUE, Stroke::Solid, Mark::None, across(area.relative)));
     }

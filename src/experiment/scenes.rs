@@ -1,10 +1,12 @@
 //! Every recorded scene × every builder: tests per query of trees built from the queries of 10% of the pixels, counted on
 //! the others. The table of the README.
 
-use super::measure::{area_tree, ray_tree};
+use super::measure::{area_tree, optimize_by_area, optimize_by_rays, ray_tree};
 use super::trace::{Query, Trace, part, prepared};
 use super::{ExperimentError, Settings};
 use crate::builder::{Config, Splits};
+use crate::geometry::Ray;
+use crate::optimize::{self, measure::Estimate};
 use crate::probability::blend::Blend;
 use crate::probability::rays::{Count, RaySet};
 use crate::report::plot::{Chart, Figure, Mark, PALETTE, Series, Stroke};
@@ -19,9 +21,18 @@ pub const TRAINING: f64 = 0.1;
 /// The weight of the blend: what a prototype found to be about the best.
 const WEIGHT: f64 = 0.95;
 
-/// The trees, in the order of the columns.
-pub const BUILDERS: [&str; 6] =
-    ["recorded", "SAH binned", "SAH sweep", "RDH binned", "RDH sweep", "blend 0.95 sweep"];
+/// The trees, in the order of the columns. Optimised ones are the sweep's, after the default optimisers: on area, the
+/// control, or on the training queries.
+pub const BUILDERS: [&str; 8] = [
+    "recorded",
+    "SAH binned",
+    "SAH sweep",
+    "SAH sweep, optimised on area",
+    "RDH binned",
+    "RDH sweep",
+    "blend 0.95 sweep",
+    "RDH sweep, optimised on rays",
+];
 
 /// One tree of one scene, on held-out queries.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,7 +69,8 @@ pub fn run(
     if training.is_empty() || held_out.is_empty() {
         return Err(ExperimentError::TooFew { found: trace.queries.len(), least: 2 });
     }
-    let set = RaySet::of_records(training.iter().map(|query| &query.record));
+    let segments: Vec<Ray> = training.iter().map(|query| query.record.effective_segment()).collect();
+    let set = RaySet::of_rays(segments.iter().copied());
     let binned = Config::default();
     let sweep = Config { splits: Splits::Sweep, ..binned };
     let triangles = &trace.triangles;
@@ -66,6 +78,22 @@ pub fn run(
         Ok(match builder {
             "SAH binned" => Some(area_tree(triangles, &binned)?),
             "SAH sweep" => Some(area_tree(triangles, &sweep)?),
+            "SAH sweep, optimised on area" => {
+                let mut tree = area_tree(triangles, &sweep)?;
+                optimize_by_area(&mut tree, triangles)?;
+                Some(tree)
+            }
+            "RDH sweep, optimised on rays" => {
+                let mut tree = ray_tree(triangles, &set, Count::default(), &sweep)?;
+                optimize_by_rays(
+                    &mut tree,
+                    triangles,
+                    &segments,
+                    Estimate::default(),
+                    &optimize::Config::default(),
+                )?;
+                Some(tree)
+            }
             "RDH binned" => Some(ray_tree(triangles, &set, Count::default(), &binned)?),
             "RDH sweep" => Some(ray_tree(triangles, &set, Count::default(), &sweep)?),
             "blend 0.95 sweep" => Some(ray_tree(triangles, &set, Blend::new(WEIGHT)?, &sweep)?),
@@ -136,7 +164,7 @@ pub fn write_csv(rows: &[Row], out: &mut impl Write) -> io::Result<()> {
         // A name is a file's: quoted, so that a comma in it does not shift the columns.
         writeln!(
             out,
-            "\"{}\",{builder},{triangles},{training},{held_out},{box_tests:.3},{primitive_tests:.3},{:.3},{:.4},{seconds:.3}",
+            "\"{}\",\"{builder}\",{triangles},{training},{held_out},{box_tests:.3},{primitive_tests:.3},{:.3},{:.4},{seconds:.3}",
             scene.replace('"', "\"\""),
             row.tests(),
             relative(rows, row),
@@ -171,11 +199,18 @@ pub fn figure(rows: &[Row]) -> Figure {
     let scenes: Vec<&str> =
         rows.chunk_by(|a, b| a.scene == b.scene).map(|rows| rows[0].scene.as_str()).collect();
     let mut series = Vec::new();
-    for (builder, color) in BUILDERS.into_iter().zip(PALETTE) {
+    // The control stands beside the sweep in its colour.
+    let [blue, vermillion, green, purple, orange, sky, black] = PALETTE;
+    let colors = [black, blue, green, green, vermillion, orange, sky, purple];
+    for (builder, color) in BUILDERS.into_iter().zip(colors) {
         let of = rows.iter().filter(|row| row.builder == builder);
         let place = |row: &Row| scenes.iter().position(|scene| *scene == row.scene).unwrap_or(0) as f64;
         let points: Vec<_> = of.map(|row| (place(row), relative(rows, row))).collect();
-        let mark = if builder.starts_with("SAH") || builder == "recorded" { Mark::Ring } else { Mark::Disk };
+        let mark = match builder {
+            "SAH sweep, optimised on area" => Mark::Cross,
+            _ if builder.starts_with("SAH") || builder == "recorded" => Mark::Ring,
+            _ => Mark::Disk,
+        };
         if !points.is_empty() {
             series.push(Series::line(builder, color, Stroke::None, mark, points));
         }
