@@ -1,12 +1,13 @@
 //! Queries over a tree: closest hit and occlusion, ordered depth first or strictly front to back.
 //!
 //! A [`Prepared`] tree is made once per tree: inner nodes in a form that is quick to test ([`pairs`] for binary
-//! trees, [`groups`] for wider ones), triangles in leaf order. Each thread has a [`Scratch`]; nothing is allocated per
+//! trees, [`groups`] for wider ones), triangles in leaf order in [`blocks`] of four. Each thread has a [`Scratch`]; nothing is allocated per
 //! query. The algorithms (`odf`, `ray_order`) are generic over the form, over who watches ([`Observer`]) and over which
 //! triangles count ([`Candidates`]), and are compiled for each combination.
 //!
 //! Every form and every order gives the same answer: see [`triangle`] for how rounding is kept out of it.
 
+pub mod blocks;
 pub mod candidates;
 pub mod child_order;
 pub mod encounter;
@@ -34,12 +35,14 @@ pub use ray::PreparedRay;
 pub use triangle::PreparedTriangle;
 
 use crate::format::bvh::Geometry;
-use crate::geometry::{Aabb, Triangle};
+use crate::geometry::{Aabb, Ray, Triangle};
 use crate::tree::TreeView;
+use blocks::Blocks;
 use child_order::{Always, ChildOrder, Drawn, LargerFirst, NearestFirst, PerNode, rule};
-use form::Stack;
+use form::Room;
 use groups::Groups;
 use pairs::Pairs;
+use simd::Machine;
 
 /// In which order nodes are visited.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, clap::ValueEnum)]
@@ -82,28 +85,31 @@ pub struct Hit {
 /// What one thread keeps from query to query.
 #[derive(Debug, Default)]
 pub struct Scratch {
-    stack: Stack,
+    room: Room,
     queue: ray_order::Queue,
 }
 
 #[derive(Debug)]
 enum Nodes {
     Pairs(Pairs),
-    Groups(Groups),
+    Fours(Groups<4>),
+    Eights(Groups<8>),
 }
 
 /// A tree made ready to be traversed.
 ///
-/// Takes 64 bytes per inner node of a binary tree, 128 per four children of another, and 48 per primitive.
+/// Takes 64 bytes per inner node of a binary tree, 128 per four or 256 per eight children of another, and 96 per primitive.
 #[derive(Debug)]
 pub struct Prepared {
     nodes: Nodes,
     root: Link,
     root_bounds: Aabb,
-    triangles: Vec<PreparedTriangle>,
+    blocks: Blocks,
+    /// Nodes in the file.
+    node_count: usize,
     /// Most entries that can wait on a stack.
     stack_size: usize,
-    /// Whether the processor has what `query_fused` needs: asked once, not per query.
+    /// Whether the processor has AVX2 and FMA: asked once, not per query.
     #[cfg_attr(
         not(target_arch = "x86_64"),
         expect(dead_code, reason = "x86-64 has processors with and without")
@@ -116,7 +122,8 @@ macro_rules! with_form {
     ($prepared:expr, $nodes:ident => $run:expr) => {
         match &$prepared.nodes {
             Nodes::Pairs($nodes) => $run,
-            Nodes::Groups($nodes) => $run,
+            Nodes::Fours($nodes) => $run,
+            Nodes::Eights($nodes) => $run,
         }
     };
 }
@@ -126,26 +133,30 @@ impl Prepared {
     ///
     /// A triangle that no geometry names is seen by every mask.
     pub fn new(tree: TreeView, triangles: &[Triangle], geometries: &[Geometry]) -> Prepared {
-        let masks = Masks::new(geometries);
-        let triangles = tree
-            .primitives
-            .iter()
-            .map(|&index| PreparedTriangle {
-                vertices: triangles[index as usize],
-                index,
-                mask: masks.of(index),
-            })
-            .collect();
-        let nodes = match Pairs::new(tree) {
+        let (blocks, slots) = Blocks::new(tree, triangles, &Masks::new(geometries));
+        let widest = tree.nodes.iter().filter(|node| !node.is_leaf()).map(|node| node.len()).max();
+        let nodes = match Pairs::new(tree, &slots) {
             Some(pairs) => Nodes::Pairs(pairs),
-            None => Nodes::Groups(Groups::new(tree)),
+            None if widest > Some(4) => Nodes::Eights(Groups::new(tree, &slots)),
+            None => Nodes::Fours(Groups::new(tree, &slots)),
         };
-        let root = match &nodes {
-            Nodes::Pairs(pairs) => pairs.root(tree, 0.0),
-            Nodes::Groups(groups) => groups.root(tree, 0.0),
+        let below = match &nodes {
+            Nodes::Pairs(pairs) => pairs.root(),
+            Nodes::Fours(groups) => groups.root(),
+            Nodes::Eights(groups) => groups.root(),
         };
+        let root = Link::to(0, below, 0.0);
         let root_bounds = tree.nodes[0].bounds();
-        Prepared { nodes, root, root_bounds, triangles, stack_size: stack_size(tree), fused: fused() }
+        let node_count = tree.nodes.len();
+        Prepared {
+            nodes,
+            root,
+            root_bounds,
+            blocks,
+            node_count,
+            stack_size: stack_size(tree),
+            fused: fused(),
+        }
     }
 
     /// Whether every inner node has two children.
@@ -220,10 +231,10 @@ impl Prepared {
             // SAFETY: the processor has both features, or `fused` would be false.
             return unsafe { self.query_fused::<ANY>(traversal, order, ray, candidates, observer, scratch) };
         }
-        self.query_anywhere::<ANY>(traversal, order, ray, candidates, observer, scratch)
+        self.query_on::<ANY, simd::Any>(traversal, order, ray, candidates, observer, scratch)
     }
 
-    /// `query_anywhere`, compiled for processors with AVX2 and fused multiply-add: the same bits, sooner.
+    /// `query_on`, compiled for processors with AVX2 and fused multiply-add: the same bits, sooner.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
     fn query_fused<const ANY: bool>(
@@ -235,11 +246,11 @@ impl Prepared {
         observer: &mut impl Observer,
         scratch: &mut Scratch,
     ) -> Option<Hit> {
-        self.query_anywhere::<ANY>(traversal, order, ray, candidates, observer, scratch)
+        self.query_on::<ANY, simd::Avx2>(traversal, order, ray, candidates, observer, scratch)
     }
 
     #[inline(always)]
-    fn query_anywhere<const ANY: bool>(
+    fn query_on<const ANY: bool, M: Machine>(
         &self,
         traversal: Traversal,
         order: &impl ChildOrder,
@@ -250,17 +261,16 @@ impl Prepared {
     ) -> Option<Hit> {
         observer.root();
         let root = Link { entry: ray.entry(&self.root_bounds, ray.tfar)?, ..self.root };
-        let triangles = &self.triangles;
+        let blocks = &self.blocks;
         let best = match traversal {
-            Traversal::Odf => {
-                scratch.stack.start(self.stack_size);
-                let stack = &mut scratch.stack;
-                with_form!(self, form => odf::run::<ANY, _>(form, root, order, triangles, ray, candidates, observer, stack))
-            }
-            Traversal::RayOrder => {
+            Traversal::Odf => with_form!(self, form => {
+                let stack = scratch.room.stack(self.stack_size);
+                odf::run::<ANY, M, _>(form, root, order, blocks, ray, candidates, observer, stack)
+            }),
+            Traversal::RayOrder => with_form!(self, form => {
                 let queue = &mut scratch.queue;
-                with_form!(self, form => ray_order::run::<ANY, _>(form, root, triangles, ray, candidates, observer, queue))
-            }
+                ray_order::run::<ANY, M, _>(form, root, blocks, ray, candidates, observer, queue)
+            }),
         };
         best.hit()
     }
@@ -275,14 +285,24 @@ impl Prepared {
     ) {
         let tfar = tfar.min(ray.tfar);
         if let Some(entry) = ray.entry(&self.root_bounds, tfar) {
-            scratch.stack.start(self.stack_size);
             let root = Link { entry, ..self.root };
-            with_form!(self, form => overlap::run(form, root, ray, tfar, counter, &mut scratch.stack));
+            let stack = scratch.room.stack(self.stack_size);
+            with_form!(self, form => overlap::run::<simd::Any, _>(form, root, ray, tfar, counter, stack));
         }
     }
 }
 
 impl Prepared {
+    /// P_R of every node: how many of the segments `rays` overlap its box, by its index in the file.
+    pub fn overlaps(&self, rays: &[Ray]) -> Vec<u64> {
+        let mut counts = overlap::PerNode(vec![0; self.node_count]);
+        let mut scratch = Scratch::default();
+        for ray in rays.iter().map(PreparedRay::new) {
+            self.overlap(&ray, ray.tfar, &mut counts, &mut scratch);
+        }
+        counts.0
+    }
+
     /// How many nodes' boxes a query's segment overlaps: the encounters that [`Self::encounters`] finds.
     pub fn overlapped(&self, ray: &PreparedRay, scratch: &mut Scratch) -> usize {
         let mut count = encounter::Overlaps::default();
@@ -298,16 +318,44 @@ impl Prepared {
         scratch: &mut Scratch,
         found: &mut Vec<Encounter>,
     ) {
-        if let Some(entry) = ray.entry(&self.root_bounds, ray.tfar) {
-            scratch.stack.start(self.stack_size);
-            let root = Link { entry, ..self.root };
-            let stack = &mut scratch.stack;
-            with_form!(self, form => encounter::run(form, root, &self.triangles, ray, candidates, stack, found));
+        #[cfg(target_arch = "x86_64")]
+        if self.fused {
+            // SAFETY: the processor has both features, or `fused` would be false.
+            return unsafe { self.encounters_fused(ray, candidates, scratch, found) };
         }
+        self.encounters_on::<simd::Any>(ray, candidates, scratch, found);
+    }
+
+    /// `encounters_on`, compiled for processors with AVX2 and fused multiply-add.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn encounters_fused(
+        &self,
+        ray: &PreparedRay,
+        candidates: &impl Candidates,
+        scratch: &mut Scratch,
+        found: &mut Vec<Encounter>,
+    ) {
+        self.encounters_on::<simd::Avx2>(ray, candidates, scratch, found);
+    }
+
+    #[inline(always)]
+    fn encounters_on<M: Machine>(
+        &self,
+        ray: &PreparedRay,
+        candidates: &impl Candidates,
+        scratch: &mut Scratch,
+        found: &mut Vec<Encounter>,
+    ) {
+        let Some(entry) = ray.entry(&self.root_bounds, ray.tfar) else { return };
+        let root = Link { entry, ..self.root };
+        let stack = scratch.room.stack(self.stack_size);
+        let blocks = &self.blocks;
+        with_form!(self, form => encounter::run::<M, _>(form, root, blocks, ray, candidates, stack, found));
     }
 }
 
-/// Whether `Prepared::query_fused` may run here.
+/// Whether the functions compiled for AVX2 and fused multiply-add may run here.
 fn fused() -> bool {
     #[cfg(target_arch = "x86_64")]
     let fused = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");

@@ -7,6 +7,7 @@
 
 use super::form::{Form, Link, Stack};
 use super::ray::PreparedRay;
+use super::simd::Machine;
 use crate::random::mixed;
 use crate::tree::TreeView;
 use thiserror::Error;
@@ -32,7 +33,7 @@ pub trait ChildOrder {
 
     /// The child visited first, if any is overlapped; the others go onto the stack, the last of them first.
     #[inline(always)]
-    fn enter<F: Form>(
+    fn enter<M: Machine, F: Form<M>>(
         &self,
         form: &F,
         parent: &Link,
@@ -65,7 +66,7 @@ impl ChildOrder for NearestFirst {
     }
 
     #[inline(always)]
-    fn enter<F: Form>(
+    fn enter<M: Machine, F: Form<M>>(
         &self,
         form: &F,
         parent: &Link,

@@ -2,12 +2,14 @@
 //! open, and whether an occluder is below. What any order costs, and the least that a proof of occlusion costs, follow
 //! from it without another box test.
 
+use super::blocks::{BlockRay, Blocks};
 use super::candidates::Candidates;
 use super::form::{Form, Link, Stack};
 use super::leaf::{self, Best};
 use super::observer::{Counts, Observer};
 use super::overlap::Overlapped;
 use super::ray::PreparedRay;
+use super::simd::Machine;
 use super::triangle::PreparedTriangle;
 
 /// A node whose box a query's segment overlaps. The encounters of a query stand in depth-first order, children in the order of the file.
@@ -100,16 +102,16 @@ impl Observer for Tested {
 }
 
 /// Adds the encounters of a query to `found`; the ray overlaps the box of `root`.
-pub(super) fn run<F: Form>(
+pub(super) fn run<M: Machine, F: Form<M>>(
     form: &F,
     root: Link,
-    triangles: &[PreparedTriangle],
+    blocks: &Blocks,
     ray: &PreparedRay,
     candidates: &impl Candidates,
-    stack: &mut Stack,
+    mut stack: Stack,
     found: &mut Vec<Encounter>,
 ) {
-    let form_ray = F::ray(ray);
+    let (form_ray, block_ray) = (F::ray(ray), BlockRay::new(ray));
     let start = found.len();
     stack.push(root);
     while let Some(current) = stack.pop() {
@@ -126,7 +128,7 @@ pub(super) fn run<F: Form>(
             let mut best = Best::end_of(ray);
             encounter.leaf = true;
             encounter.occluded =
-                leaf::test::<true>(&current, triangles, ray, candidates, &mut tested, &mut best);
+                leaf::test::<true, M>(&current, blocks, ray, &block_ray, candidates, &mut tested, &mut best);
             encounter.tests = tested.0;
         } else {
             let before = stack.len();

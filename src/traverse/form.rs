@@ -1,8 +1,16 @@
-//! What a traversal needs of a tree's memory layout. A new layout (packets, 8 lanes) is a new implementation; the
-//! algorithms stay as they are.
+//! What a traversal needs of a tree's memory layout. A new layout is a new implementation; the algorithms stay as they are.
 
 use super::ray::PreparedRay;
+use super::simd::Machine;
 use crate::tree::LEAF_BIT;
+
+/// What is below a node: [`Link::first`] and [`Link::count`].
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(8))]
+pub(super) struct Below {
+    pub first: u32,
+    pub count: u32,
+}
 
 /// A subtree that the ray overlaps, and where to find what is below.
 #[derive(Clone, Copy, Debug)]
@@ -11,7 +19,7 @@ pub struct Link {
     pub entry: f32,
     /// Index of its node in the file.
     pub node: u32,
-    /// Leaf: first of its prepared triangles. Inner: wherever the form keeps its children.
+    /// Leaf: the first slot of its triangles. Inner: wherever the form keeps its children.
     pub first: u32,
     /// Leaf: [`LEAF_BIT`] and the number of triangles. Inner: the number of children.
     pub count: u32,
@@ -20,12 +28,18 @@ pub struct Link {
 impl Link {
     pub(super) const NOWHERE: Link = Link { entry: f32::INFINITY, node: 0, first: 0, count: LEAF_BIT };
 
+    /// The link to `node`, whose box is entered at `entry` and whose children or triangles are at `first`.
+    #[inline(always)]
+    pub(super) fn to(node: u32, Below { first, count }: Below, entry: f32) -> Link {
+        Link { entry, node, first, count }
+    }
+
     #[inline(always)]
     pub fn is_leaf(&self) -> bool {
         self.count & LEAF_BIT != 0
     }
 
-    /// Prepared triangles of a leaf.
+    /// Slots of a leaf's triangles.
     #[inline(always)]
     pub fn triangles(&self) -> std::ops::Range<usize> {
         let first = self.first as usize;
@@ -33,23 +47,29 @@ impl Link {
     }
 }
 
-/// Entries that wait. Its room is fixed per tree, so nothing is allocated while a query runs.
+/// Room for entries that wait, kept from query to query, so that nothing is allocated while one runs.
 #[derive(Debug, Default)]
-pub struct Stack {
-    links: Vec<Link>,
+pub struct Room(Vec<Link>);
+
+impl Room {
+    /// An empty stack for `capacity` entries.
+    #[inline]
+    pub(super) fn stack(&mut self, capacity: usize) -> Stack<'_> {
+        if self.0.len() < capacity {
+            self.0.resize(capacity, Link::NOWHERE);
+        }
+        Stack { links: &mut self.0, top: 0 }
+    }
+}
+
+/// Entries that wait.
+#[derive(Debug)]
+pub struct Stack<'a> {
+    links: &'a mut [Link],
     top: usize,
 }
 
-impl Stack {
-    /// Makes room for `capacity` entries and forgets what was there.
-    #[inline]
-    pub(super) fn start(&mut self, capacity: usize) {
-        if self.links.len() < capacity {
-            self.links.resize(capacity, Link::NOWHERE);
-        }
-        self.top = 0;
-    }
-
+impl Stack<'_> {
     #[inline(always)]
     pub fn push(&mut self, link: Link) {
         self.push_if(link, true);
@@ -60,6 +80,18 @@ impl Stack {
     pub fn push_if(&mut self, link: Link, if_so: bool) {
         self.links[self.top] = link;
         self.top += if_so as usize;
+    }
+
+    /// Pushes `link`, below those above `since` that are entered no later.
+    #[inline(always)]
+    pub fn insert(&mut self, since: usize, link: Link) {
+        let mut place = self.top;
+        while place > since && self.links[place - 1].entry <= link.entry {
+            self.links[place] = self.links[place - 1];
+            place -= 1;
+        }
+        self.links[place] = link;
+        self.top += 1;
     }
 
     #[inline(always)]
@@ -85,8 +117,8 @@ impl Stack {
     }
 }
 
-/// A tree's inner nodes in memory, and how a ray is tested against the children of one.
-pub trait Form {
+/// A tree's inner nodes in memory, and how a ray is tested against the children of one on a [`Machine`].
+pub trait Form<M: Machine> {
     /// What a query computes once for all its tests.
     type Ray: Copy;
 

@@ -1,147 +1,174 @@
-//! The form of all other trees: children in groups of four, faces side by side, one vector operation for four boxes.
-//!
-//! A node of up to 4 children has one group, one of 8 has two. Two cache lines a group.
+//! The form of all other trees: children in groups of four or eight, faces side by side, one vector operation for all boxes of a
+//! group. A node with more children than a group holds has several.
 
-use super::form::{Form, Link, Stack};
+use super::form::{Below, Form, Link, Stack};
 use super::ray::PreparedRay;
-use super::simd::F32x4;
+use super::simd::{Lanes, Supports};
 use crate::tree::TreeView;
 
-const LANES: usize = 4;
-
+/// `N` children: two cache lines for four, four for eight.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
-struct Group {
+struct Group<const N: usize> {
     /// Per axis: lower faces, upper faces, a lane per child.
-    faces: [[[f32; LANES]; 2]; 3],
-    /// [`Link::first`] of each child; of an inner child, the index of its first group.
-    first: [u32; LANES],
-    /// [`Link::count`] of each child.
-    count: [u32; LANES],
+    faces: [[[f32; N]; 2]; 3],
+    /// The first of an inner child is the index of its first group.
+    below: [Below; N],
 }
 
 /// All groups of a tree, and where each inner node's are.
 #[derive(Debug)]
-pub struct Groups {
-    groups: Vec<Group>,
+pub struct Groups<const N: usize> {
+    groups: Vec<Group<N>>,
     /// Node in the file of the first child of each group.
     child: Vec<u32>,
-    root_first: u32,
+    root: Below,
 }
 
-impl Groups {
-    pub fn new(tree: TreeView) -> Groups {
-        // Where each inner node's groups will start; leaves keep their first triangle.
+impl<const N: usize> Groups<N> {
+    /// `slots` are where the triangles of each leaf begin.
+    pub fn new(tree: TreeView, slots: &[u32]) -> Groups<N> {
         let mut total = 0u32;
-        let start: Vec<u32> = tree
-            .nodes
-            .iter()
-            .map(|node| {
-                if node.is_leaf() {
-                    return node.first;
-                }
-                let first = total;
-                total += node.len().div_ceil(LANES) as u32;
-                first
-            })
-            .collect();
+        let below = tree.nodes.iter().zip(slots).map(|(node, slot)| {
+            let mut first = *slot;
+            if !node.is_leaf() {
+                first = total;
+                total += node.len().div_ceil(N) as u32;
+            }
+            Below { first, count: node.count }
+        });
+        let below: Vec<Below> = below.collect();
         let mut groups = Vec::with_capacity(total as usize);
         let mut child = Vec::with_capacity(total as usize);
         for node in tree.nodes.iter().filter(|node| !node.is_leaf()) {
-            for first in node.range().step_by(LANES) {
-                let children = first..node.range().end.min(first + LANES);
-                let mut group = Group { faces: [[[0.0; LANES]; 2]; 3], first: [0; LANES], count: [0; LANES] };
+            for first in node.range().step_by(N) {
+                let children = first..node.range().end.min(first + N);
+                let mut group = Group { faces: [[[0.0; N]; 2]; 3], below: [Below { first: 0, count: 0 }; N] };
                 for (lane, index) in children.enumerate() {
                     let bounds = tree.nodes[index].bounds();
                     for axis in 0..3 {
                         group.faces[axis][0][lane] = bounds.lower[axis];
                         group.faces[axis][1][lane] = bounds.upper[axis];
                     }
-                    group.first[lane] = start[index];
-                    group.count[lane] = tree.nodes[index].count;
+                    group.below[lane] = below[index];
                 }
                 groups.push(group);
                 child.push(first as u32);
             }
         }
-        Groups { groups, child, root_first: start[0] }
+        Groups { groups, child, root: below[0] }
     }
 
-    /// The root as a link, entered at `entry`.
-    pub fn root(&self, tree: TreeView, entry: f32) -> Link {
-        Link { entry, node: 0, first: self.root_first, count: tree.nodes[0].count }
+    /// What is below the root.
+    pub(super) fn root(&self) -> Below {
+        self.root
     }
 }
 
 /// A ray as groups are tested against it.
 #[derive(Clone, Copy, Debug)]
-pub struct GroupRay {
-    origin: [F32x4; 3],
-    near_inverse: [F32x4; 3],
-    far_inverse: [F32x4; 3],
+pub struct GroupRay<V> {
+    origin: [V; 3],
+    near_inverse: [V; 3],
+    far_inverse: [V; 3],
     near_face: [usize; 3],
-    tnear: f32,
+    tnear: V,
 }
 
-impl Form for Groups {
-    type Ray = GroupRay;
+impl<const N: usize> Group<N> {
+    /// The first `children` lanes that the ray overlaps within [tnear, `tfar`], as bits, and where each is entered.
+    #[inline(always)]
+    fn test<V: Lanes<N>>(&self, children: usize, ray: &GroupRay<V>, tfar: f32) -> (u32, V) {
+        let mut entry = ray.tnear;
+        let mut exit = V::splat(tfar);
+        for axis in 0..3 {
+            let near = ray.near_face[axis] & 1;
+            let (origin, faces) = (ray.origin[axis], &self.faces[axis]);
+            entry = V::load(&faces[near]).sub(origin).mul(ray.near_inverse[axis]).max_or(entry);
+            exit = V::load(&faces[near ^ 1]).sub(origin).mul(ray.far_inverse[axis]).min_or(exit);
+        }
+        // Lanes without a child never count, whatever their faces say.
+        let lanes = (1u32 << children.min(N)) - 1;
+        (entry.le_mask(exit) & lanes, entry)
+    }
+}
+
+/// Takes the lowest of the lanes in `mask`.
+#[inline(always)]
+fn next_lane<const N: usize>(mask: &mut u32) -> usize {
+    let lane = mask.trailing_zeros() as usize % N;
+    *mask &= *mask - 1;
+    lane
+}
+
+impl<M: Supports<N>, const N: usize> Form<M> for Groups<N> {
+    type Ray = GroupRay<M::Vector>;
 
     #[inline(always)]
-    fn ray(ray: &PreparedRay) -> GroupRay {
+    fn ray(ray: &PreparedRay) -> GroupRay<M::Vector> {
         GroupRay {
-            origin: std::array::from_fn(|axis| F32x4::splat(ray.origin[axis])),
-            near_inverse: std::array::from_fn(|axis| F32x4::splat(ray.near_inverse[axis])),
-            far_inverse: std::array::from_fn(|axis| F32x4::splat(ray.far_inverse[axis])),
+            origin: std::array::from_fn(|axis| M::Vector::splat(ray.origin[axis])),
+            near_inverse: std::array::from_fn(|axis| M::Vector::splat(ray.near_inverse[axis])),
+            far_inverse: std::array::from_fn(|axis| M::Vector::splat(ray.far_inverse[axis])),
             near_face: ray.downwards,
-            tnear: ray.tnear,
+            tnear: M::Vector::splat(ray.tnear),
         }
     }
 
     #[inline(always)]
-    fn each(&self, parent: &Link, ray: &GroupRay, tfar: f32, mut found: impl FnMut(Link)) {
-        let children = parent.count as usize;
-        for (offset, taken) in (0..children).step_by(LANES).enumerate() {
-            let index = parent.first as usize + offset;
+    fn each(&self, parent: &Link, ray: &GroupRay<M::Vector>, tfar: f32, mut found: impl FnMut(Link)) {
+        let groups = parent.first as usize..;
+        for (index, children) in groups.zip((1..=parent.count as usize).rev().step_by(N)) {
             let group = &self.groups[index];
-            let mut entry = F32x4::splat(ray.tnear);
-            let mut exit = F32x4::splat(tfar);
-            for axis in 0..3 {
-                let near = ray.near_face[axis] & 1;
-                let origin = ray.origin[axis];
-                let faces = &group.faces[axis];
-                entry = F32x4::new(faces[near]).sub(origin).mul(ray.near_inverse[axis]).max_or(entry);
-                exit = F32x4::new(faces[near ^ 1]).sub(origin).mul(ray.far_inverse[axis]).min_or(exit);
-            }
-            // Lanes without a child never count, whatever their faces say.
-            let lanes = (1u32 << (children - taken).min(LANES)) - 1;
-            let mut mask = entry.le_mask(exit) & lanes;
+            let (mut mask, entry) = group.test(children, ray, tfar);
             let entries = entry.to_array();
             while mask != 0 {
-                let lane = mask.trailing_zeros() as usize & (LANES - 1);
-                mask &= mask - 1;
-                found(Link {
-                    entry: entries[lane],
-                    node: self.child[index] + lane as u32,
-                    first: group.first[lane],
-                    count: group.count[lane],
-                });
+                let lane = next_lane::<N>(&mut mask);
+                found(Link::to(self.child[index] + lane as u32, group.below[lane], entries[lane]));
             }
         }
     }
 
     #[inline(always)]
-    fn nearest(&self, parent: &Link, ray: &GroupRay, tfar: f32, stack: &mut Stack) -> Option<Link> {
+    fn nearest(
+        &self,
+        parent: &Link,
+        ray: &GroupRay<M::Vector>,
+        tfar: f32,
+        stack: &mut Stack,
+    ) -> Option<Link> {
+        let (index, children) = (parent.first as usize, parent.count as usize);
+        if children > N {
+            let before = stack.len();
+            <Self as Form<M>>::each(self, parent, ray, tfar, |link| stack.insert(before, link));
+            return if stack.len() > before { stack.pop() } else { None };
+        }
+        let group = &self.groups[index];
+        let (mut mask, entry) = group.test(children, ray, tfar);
+        if mask == 0 {
+            return None;
+        }
+        let (entries, child) = (entry.to_array(), self.child[index]);
+        let link = |lane: usize| Link::to(child + lane as u32, group.below[lane], entries[lane]);
+        let first = link(next_lane::<N>(&mut mask));
+        if mask == 0 {
+            return Some(first);
+        }
+        let second = link(next_lane::<N>(&mut mask));
+        let (mut nearest, mut farther) =
+            if second.entry < first.entry { (second, first) } else { (first, second) };
         let before = stack.len();
-        self.each(parent, ray, tfar, |link| stack.push(link));
-        // Few are overlapped, mostly one or two: insertion, farthest at the bottom, of equals the last child.
-        let pushed = stack.above(before);
-        for end in 1..pushed.len() {
-            let mut place = end;
-            while place > 0 && pushed[place - 1].entry <= pushed[place].entry {
-                pushed.swap(place - 1, place);
-                place -= 1;
+        stack.push(farther);
+        // Few have more than two: insertion keeps the farthest at the bottom, of equals the last child.
+        while mask != 0 {
+            farther = link(next_lane::<N>(&mut mask));
+            if farther.entry < nearest.entry {
+                std::mem::swap(&mut farther, &mut nearest);
+                stack.push(farther);
+            } else {
+                stack.insert(before, farther);
             }
         }
-        if stack.len() > before { stack.pop() } else { None }
+        Some(nearest)
     }
 }

@@ -1,10 +1,12 @@
 //! The triangles of one leaf against one ray: the part that every traversal shares.
 
 use super::Hit;
+use super::blocks::{BlockRay, Blocks, LANES};
 use super::candidates::Candidates;
 use super::form::Link;
 use super::observer::Observer;
 use super::ray::PreparedRay;
+use super::simd::Machine;
 use super::triangle::PreparedTriangle;
 use crate::format::rays::NO_TRIANGLE;
 
@@ -35,28 +37,61 @@ const SNAP: f32 = 1e-6;
 ///
 /// Of equal hits the one with the lowest index wins, whatever the order in which they are found.
 #[inline(always)]
-pub(super) fn test<const ANY: bool>(
+#[allow(clippy::too_many_arguments)] // What a traversal holds in registers; a struct would put it into memory.
+pub(super) fn test<const ANY: bool, M: Machine>(
     leaf: &Link,
-    triangles: &[PreparedTriangle],
+    blocks: &Blocks,
     ray: &PreparedRay,
+    block_ray: &BlockRay,
     candidates: &impl Candidates,
     observer: &mut impl Observer,
     best: &mut Best,
 ) -> bool {
     observer.leaf(leaf);
-    for triangle in &triangles[leaf.triangles()] {
-        observer.primitive(triangle);
-        let Some(mut t) = triangle.intersect(ray) else { continue };
-        if t < leaf.entry && t >= leaf.entry * (1.0 - SNAP) {
-            t = leaf.entry;
-        }
-        let better = t < best.t || (t == best.t && triangle.index < best.triangle);
-        if better && candidates.accepts(triangle) {
-            *best = Best { t, triangle: triangle.index };
-            if ANY {
+    let slots = leaf.triangles();
+    let mut first = slots.start;
+    while first < slots.end {
+        let block = first / LANES;
+        let end = slots.end.min((block + 1) * LANES);
+        let lanes = ((1u32 << (end - first)) - 1) << (first % LANES);
+        let (mut mask, distances) = blocks.test::<M>(block, lanes, block_ray);
+        while mask != 0 {
+            let lane = mask.trailing_zeros() as usize % LANES;
+            mask &= mask - 1;
+            let slot = block * LANES + lane;
+            if hit(blocks.triangle(slot), distances[lane], leaf.entry, ray, candidates, best) && ANY {
+                observer.primitives(blocks.triangles(first..slot + 1));
                 return true;
             }
         }
+        observer.primitives(blocks.triangles(first..end));
+        first = end;
+    }
+    false
+}
+
+/// The part that few triangles reach: whether the hit at `t` counts, and is the best so far.
+#[inline(always)]
+fn hit(
+    triangle: &PreparedTriangle,
+    t: f32,
+    entry: f32,
+    ray: &PreparedRay,
+    candidates: &impl Candidates,
+    best: &mut Best,
+) -> bool {
+    // What follows never makes t smaller, so most can be left out here. (NaN, from an overflow, goes on.)
+    if t.min(ray.tfar) > best.t {
+        return false;
+    }
+    let Some(mut t) = triangle.confirm(ray, t) else { return false };
+    if t < entry && t >= entry * (1.0 - SNAP) {
+        t = entry;
+    }
+    let better = t < best.t || (t == best.t && triangle.index < best.triangle);
+    if better && candidates.accepts(triangle) {
+        *best = Best { t, triangle: triangle.index };
+        return true;
     }
     false
 }

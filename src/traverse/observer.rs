@@ -20,9 +20,20 @@ pub trait Observer {
     /// A triangle is tested.
     #[inline(always)]
     fn primitive(&mut self, _triangle: &PreparedTriangle) {}
+
+    /// These triangles are tested, in this order.
+    #[inline(always)]
+    fn primitives(&mut self, triangles: &[PreparedTriangle]) {
+        for triangle in triangles {
+            self.primitive(triangle);
+        }
+    }
 }
 
-impl Observer for () {}
+impl Observer for () {
+    #[inline(always)]
+    fn primitives(&mut self, _triangles: &[PreparedTriangle]) {}
+}
 
 /// What a query cost, in the words of the design.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -47,8 +58,8 @@ impl Observer for Counts {
     }
 
     #[inline(always)]
-    fn primitive(&mut self, _triangle: &PreparedTriangle) {
-        self.primitive_tests += 1;
+    fn primitives(&mut self, triangles: &[PreparedTriangle]) {
+        self.primitive_tests += triangles.len() as u64;
     }
 }
 

@@ -3,6 +3,7 @@
 
 use super::form::{Form, Link, Stack};
 use super::ray::PreparedRay;
+use super::simd::Machine;
 
 /// Told of every node whose box the segment overlaps.
 pub trait Overlapped {
@@ -46,15 +47,30 @@ impl std::ops::AddAssign for Overlap {
     }
 }
 
+/// How many segments overlap each node, by its index in the file.
+pub(super) struct PerNode(pub Vec<u64>);
+
+impl Overlapped for PerNode {
+    #[inline(always)]
+    fn inner(&mut self, node: &Link) {
+        self.0[node.node as usize] += 1;
+    }
+
+    #[inline(always)]
+    fn leaf(&mut self, leaf: &Link) {
+        self.0[leaf.node as usize] += 1;
+    }
+}
+
 /// Visits every node below and at `root` that the segment [tnear, `tfar`] overlaps. A box that is missed holds none that is overlapped.
 #[inline(always)]
-pub(super) fn run<F: Form>(
+pub(super) fn run<M: Machine, F: Form<M>>(
     form: &F,
     root: Link,
     ray: &PreparedRay,
     tfar: f32,
     counter: &mut impl Overlapped,
-    stack: &mut Stack,
+    mut stack: Stack,
 ) {
     let form_ray = F::ray(ray);
     stack.push(root);

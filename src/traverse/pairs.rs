@@ -1,8 +1,8 @@
 //! The form of binary trees: both children's boxes in one cache line, tested together in one vector register.
 
-use super::form::{Form, Link, Stack};
+use super::form::{Below, Form, Link, Stack};
 use super::ray::PreparedRay;
-use super::simd::F32x4;
+use super::simd::{F32x4, Machine};
 use crate::tree::{LEAF_BIT, TreeView};
 
 /// Both children of an inner node. The left one is node 2 × index + 1 of the file.
@@ -11,22 +11,23 @@ use crate::tree::{LEAF_BIT, TreeView};
 struct Pair {
     /// Per axis: lower faces, upper faces; each the bits of left (low half) and right.
     faces: [[u64; 2]; 3],
-    /// Left, right: [`Link::first`]; of an inner child, the index of its pair.
-    first: [u32; 2],
-    /// Left, right: [`Link::count`].
-    count: [u32; 2],
+    /// Left, right; the first of an inner child is the index of its pair.
+    below: [Below; 2],
 }
 
 /// All pairs of a tree in which every inner node has two children.
 #[derive(Debug)]
-pub struct Pairs(Vec<Pair>);
+pub struct Pairs {
+    pairs: Vec<Pair>,
+    root: Below,
+}
 
 impl Pairs {
-    /// None when some inner node has not two children.
+    /// `slots` are where the triangles of each leaf begin. None when some inner node has not two children.
     ///
     /// Children are adjacent and every node but the root has one parent, so pairs tile the nodes from 1 on: the pair of
     /// nodes 2 i + 1 and 2 i + 2 is number i, in file order, and nothing has to be looked up.
-    pub fn new(tree: TreeView) -> Option<Pairs> {
+    pub fn new(tree: TreeView, slots: &[u32]) -> Option<Pairs> {
         if tree.nodes.iter().any(|node| !node.is_leaf() && (node.len() != 2 || node.first % 2 == 0)) {
             return None;
         }
@@ -35,21 +36,23 @@ impl Pairs {
             return None;
         }
         let pack = |left: f32, right: f32| u64::from(left.to_bits()) | u64::from(right.to_bits()) << 32;
-        let pairs = children.iter().map(|[left, right]| Pair {
+        let below = |index: usize| {
+            let node = &tree.nodes[index];
+            Below { first: if node.is_leaf() { slots[index] } else { node.first / 2 }, count: node.count }
+        };
+        let pairs = children.iter().enumerate().map(|(index, [left, right])| Pair {
             faces: std::array::from_fn(|axis| {
                 [pack(left.lower[axis], right.lower[axis]), pack(left.upper[axis], right.upper[axis])]
             }),
-            first: [left, right].map(|child| if child.is_leaf() { child.first } else { child.first / 2 }),
-            count: [left.count, right.count],
+            below: [below(2 * index + 1), below(2 * index + 2)],
         });
-        Some(Pairs(pairs.collect()))
+        let (pairs, root) = (pairs.collect(), below(0));
+        Some(Pairs { pairs, root })
     }
 
-    /// The root as a link, entered at `entry`.
-    pub fn root(&self, tree: TreeView, entry: f32) -> Link {
-        let root = tree.nodes[0];
-        let first = if root.is_leaf() { root.first } else { root.first / 2 };
-        Link { entry, node: 0, first, count: root.count }
+    /// What is below the root.
+    pub(super) fn root(&self) -> Below {
+        self.root
     }
 
     /// The bits of which children are overlapped, and where each is entered.
@@ -69,12 +72,7 @@ impl Pairs {
 
     #[inline(always)]
     fn link(pair: &Pair, index: u32, side: usize, entry: f32) -> Link {
-        Link {
-            entry,
-            node: 2 * index + 1 + side as u32,
-            first: pair.first[side & 1],
-            count: pair.count[side & 1],
-        }
+        Link::to(2 * index + 1 + side as u32, pair.below[side & 1], entry)
     }
 }
 
@@ -88,7 +86,7 @@ pub struct PairRay {
     tnear: f32,
 }
 
-impl Form for Pairs {
+impl<M: Machine> Form<M> for Pairs {
     type Ray = PairRay;
 
     #[inline(always)]
@@ -105,7 +103,7 @@ impl Form for Pairs {
 
     #[inline(always)]
     fn each(&self, parent: &Link, ray: &PairRay, tfar: f32, mut found: impl FnMut(Link)) {
-        let pair = &self.0[parent.first as usize];
+        let pair = &self.pairs[parent.first as usize];
         let (mask, left, right) = Self::test(pair, ray, tfar);
         if mask & 1 != 0 {
             found(Self::link(pair, parent.first, 0, left));
@@ -117,17 +115,23 @@ impl Form for Pairs {
 
     #[inline(always)]
     fn nearest(&self, parent: &Link, ray: &PairRay, tfar: f32, stack: &mut Stack) -> Option<Link> {
-        let pair = &self.0[parent.first as usize];
+        let pair = &self.pairs[parent.first as usize];
         let (mask, left, right) = Self::test(pair, ray, tfar);
-        if mask == 0 {
-            return None;
+        // With branches, not arithmetic: where they are predicted, the next pair is on its way before this one is decided.
+        let link = |side: usize, entry: f32| Self::link(pair, parent.first, side, entry);
+        if mask & 1 == 0 {
+            return if mask == 0 { None } else { Some(link(1, right)) };
         }
-        // Which one is nearer is a coin toss that no predictor wins: choose it, and whether the other waits, by arithmetic.
-        let near_is_right = (mask == 2) | ((mask == 3) & (right < left));
-        let side = near_is_right as usize;
-        let (near, far) = if near_is_right { (right, left) } else { (left, right) };
-        stack.push_if(Self::link(pair, parent.first, side ^ 1, far), mask == 3);
-        Some(Self::link(pair, parent.first, side, near))
+        if mask & 2 == 0 {
+            return Some(link(0, left));
+        }
+        if right < left {
+            stack.push(link(0, left));
+            Some(link(1, right))
+        } else {
+            stack.push(link(1, right));
+            Some(link(0, left))
+        }
     }
 }
 

@@ -1,164 +1,118 @@
-//! Four floats at a time: SSE2, which every x86-64 has, and plain arrays elsewhere. Same results on both.
+//! Vectors of floats, with the same results on every machine: SSE2, which every x86-64 has; AVX2 with fused multiply-add
+//! where a [`Machine`] says so; plain arrays elsewhere.
+
+mod eight;
+mod four;
+
+pub use eight::Halves;
+#[cfg(target_arch = "x86_64")]
+pub use eight::Whole;
+pub use four::F32x4;
+
+/// What box tests need of a vector of `N` floats.
+pub trait Lanes<const N: usize>: Copy {
+    fn splat(value: f32) -> Self;
+    fn load(values: &[f32; N]) -> Self;
+    fn to_array(self) -> [f32; N];
+    fn sub(self, other: Self) -> Self;
+    fn mul(self, other: Self) -> Self;
+    /// The greater of each lane; `other`'s when either is NaN, or both are zero.
+    fn max_or(self, other: Self) -> Self;
+    /// The lesser of each lane; `other`'s when either is NaN, or both are zero.
+    fn min_or(self, other: Self) -> Self;
+    /// Bit i: lane i of `self` <= lane i of `other`.
+    fn le_mask(self, other: Self) -> u32;
+}
+
+impl Lanes<4> for F32x4 {
+    #[inline(always)]
+    fn splat(value: f32) -> F32x4 {
+        F32x4::splat(value)
+    }
+
+    #[inline(always)]
+    fn load(values: &[f32; 4]) -> F32x4 {
+        F32x4::new(*values)
+    }
+
+    #[inline(always)]
+    fn to_array(self) -> [f32; 4] {
+        F32x4::to_array(self)
+    }
+
+    #[inline(always)]
+    fn sub(self, other: F32x4) -> F32x4 {
+        F32x4::sub(self, other)
+    }
+
+    #[inline(always)]
+    fn mul(self, other: F32x4) -> F32x4 {
+        F32x4::mul(self, other)
+    }
+
+    #[inline(always)]
+    fn max_or(self, other: F32x4) -> F32x4 {
+        F32x4::max_or(self, other)
+    }
+
+    #[inline(always)]
+    fn min_or(self, other: F32x4) -> F32x4 {
+        F32x4::min_or(self, other)
+    }
+
+    #[inline(always)]
+    fn le_mask(self, other: F32x4) -> u32 {
+        F32x4::le_mask(self, other)
+    }
+}
+
+/// A kind of processor that traversals are compiled for. Chosen at run time, once per tree.
+pub trait Machine: Copy {
+    type Eight: Lanes<8>;
+
+    /// a · b + c, rounded once.
+    fn mul_add(a: F32x4, b: F32x4, c: F32x4) -> F32x4;
+}
+
+/// Any processor. Where it has no fused multiply-add, a library function gives the same bits, slowly.
+#[derive(Clone, Copy, Debug)]
+pub struct Any;
+
+impl Machine for Any {
+    type Eight = Halves;
+
+    #[inline(always)]
+    fn mul_add(a: F32x4, b: F32x4, c: F32x4) -> F32x4 {
+        let (a, b, c) = (a.to_array(), b.to_array(), c.to_array());
+        F32x4::new(std::array::from_fn(|lane| a[lane].mul_add(b[lane], c[lane])))
+    }
+}
+
+/// An x86-64 with AVX2 and FMA. Named only where both are known to be there.
+#[cfg(target_arch = "x86_64")]
+#[derive(Clone, Copy, Debug)]
+pub struct Avx2;
 
 #[cfg(target_arch = "x86_64")]
-mod imp {
-    //! SAFETY, for every block: the functions need SSE2 at most, which is part of x86-64, and touch no memory.
+impl Machine for Avx2 {
+    type Eight = Whole;
 
-    use std::arch::x86_64::*;
-
-    /// Four floats.
-    #[derive(Clone, Copy, Debug)]
-    pub struct F32x4(__m128);
-
-    impl F32x4 {
-        #[inline(always)]
-        pub fn splat(value: f32) -> F32x4 {
-            // SAFETY: see above.
-            unsafe { F32x4(_mm_set1_ps(value)) }
-        }
-
-        #[inline(always)]
-        pub fn new(values: [f32; 4]) -> F32x4 {
-            // SAFETY: see above.
-            unsafe { F32x4(_mm_set_ps(values[3], values[2], values[1], values[0])) }
-        }
-
-        /// Lanes 0 and 1 from the bits of `low`, 2 and 3 from those of `high`; each holds its first lane in its low half.
-        #[inline(always)]
-        pub fn from_halves(low: u64, high: u64) -> F32x4 {
-            // Through doubles: two plain loads, without a detour over general registers.
-            // SAFETY: see above.
-            unsafe { F32x4(_mm_castpd_ps(_mm_set_pd(f64::from_bits(high), f64::from_bits(low)))) }
-        }
-
-        /// Lanes 0 and 1 of `self`, then lanes 0 and 1 of `high`.
-        #[inline(always)]
-        pub fn join(self, high: F32x4) -> F32x4 {
-            // SAFETY: see above.
-            unsafe { F32x4(_mm_movelh_ps(self.0, high.0)) }
-        }
-
-        #[inline(always)]
-        pub fn to_array(self) -> [f32; 4] {
-            // SAFETY: both are 16 bytes of plain floats.
-            unsafe { std::mem::transmute(self.0) }
-        }
-
-        #[inline(always)]
-        pub fn sub(self, other: F32x4) -> F32x4 {
-            // SAFETY: see above.
-            unsafe { F32x4(_mm_sub_ps(self.0, other.0)) }
-        }
-
-        #[inline(always)]
-        pub fn mul(self, other: F32x4) -> F32x4 {
-            // SAFETY: see above.
-            unsafe { F32x4(_mm_mul_ps(self.0, other.0)) }
-        }
-
-        /// The greater of each lane; `other`'s when either is NaN, or both are zero.
-        #[inline(always)]
-        pub fn max_or(self, other: F32x4) -> F32x4 {
-            // SAFETY: see above.
-            unsafe { F32x4(_mm_max_ps(self.0, other.0)) }
-        }
-
-        /// The lesser of each lane; `other`'s when either is NaN, or both are zero.
-        #[inline(always)]
-        pub fn min_or(self, other: F32x4) -> F32x4 {
-            // SAFETY: see above.
-            unsafe { F32x4(_mm_min_ps(self.0, other.0)) }
-        }
-
-        /// Bit i: lane i of `self` <= lane i of `other`.
-        #[inline(always)]
-        pub fn le_mask(self, other: F32x4) -> u32 {
-            // SAFETY: see above.
-            unsafe { _mm_movemask_ps(_mm_cmple_ps(self.0, other.0)) as u32 }
-        }
-
-        /// Lanes 2 and 3, negated, as lanes 0 and 1 (and again as 2 and 3).
-        #[inline(always)]
-        pub fn negated_high(self) -> F32x4 {
-            // SAFETY: see above.
-            unsafe { F32x4(_mm_xor_ps(_mm_movehl_ps(self.0, self.0), _mm_set1_ps(-0.0))) }
-        }
+    #[inline(always)]
+    fn mul_add(a: F32x4, b: F32x4, c: F32x4) -> F32x4 {
+        // SAFETY: this machine has FMA.
+        unsafe { a.fused(b, c) }
     }
 }
 
-#[cfg(not(target_arch = "x86_64"))]
-mod imp {
-    /// Four floats.
-    #[derive(Clone, Copy, Debug)]
-    pub struct F32x4([f32; 4]);
-
-    impl F32x4 {
-        #[inline(always)]
-        fn zip(self, other: F32x4, f: impl Fn(f32, f32) -> f32) -> F32x4 {
-            F32x4(std::array::from_fn(|lane| f(self.0[lane], other.0[lane])))
-        }
-
-        #[inline(always)]
-        pub fn splat(value: f32) -> F32x4 {
-            F32x4([value; 4])
-        }
-
-        #[inline(always)]
-        pub fn new(values: [f32; 4]) -> F32x4 {
-            F32x4(values)
-        }
-
-        /// Lanes 0 and 1 from the bits of `low`, 2 and 3 from those of `high`; each holds its first lane in its low half.
-        #[inline(always)]
-        pub fn from_halves(low: u64, high: u64) -> F32x4 {
-            F32x4([low as u32, (low >> 32) as u32, high as u32, (high >> 32) as u32].map(f32::from_bits))
-        }
-
-        /// Lanes 0 and 1 of `self`, then lanes 0 and 1 of `high`.
-        #[inline(always)]
-        pub fn join(self, high: F32x4) -> F32x4 {
-            F32x4([self.0[0], self.0[1], high.0[0], high.0[1]])
-        }
-
-        #[inline(always)]
-        pub fn to_array(self) -> [f32; 4] {
-            self.0
-        }
-
-        #[inline(always)]
-        pub fn sub(self, other: F32x4) -> F32x4 {
-            self.zip(other, |a, b| a - b)
-        }
-
-        #[inline(always)]
-        pub fn mul(self, other: F32x4) -> F32x4 {
-            self.zip(other, |a, b| a * b)
-        }
-
-        /// The greater of each lane; `other`'s when either is NaN, or both are zero.
-        #[inline(always)]
-        pub fn max_or(self, other: F32x4) -> F32x4 {
-            self.zip(other, |a, b| if a > b { a } else { b })
-        }
-
-        /// The lesser of each lane; `other`'s when either is NaN, or both are zero.
-        #[inline(always)]
-        pub fn min_or(self, other: F32x4) -> F32x4 {
-            self.zip(other, |a, b| if a < b { a } else { b })
-        }
-
-        /// Bit i: lane i of `self` <= lane i of `other`.
-        #[inline(always)]
-        pub fn le_mask(self, other: F32x4) -> u32 {
-            (0..4).map(|lane| ((self.0[lane] <= other.0[lane]) as u32) << lane).sum()
-        }
-
-        /// Lanes 2 and 3, negated, as lanes 0 and 1 (and again as 2 and 3).
-        #[inline(always)]
-        pub fn negated_high(self) -> F32x4 {
-            F32x4([-self.0[2], -self.0[3], -self.0[2], -self.0[3]])
-        }
-    }
+/// A machine's vector of `N` floats.
+pub trait Supports<const N: usize>: Machine {
+    type Vector: Lanes<N>;
 }
 
-pub use imp::F32x4;
+impl<M: Machine> Supports<4> for M {
+    type Vector = F32x4;
+}
+
+impl<M: Machine> Supports<8> for M {
+    type Vector = M::Eight;
+}

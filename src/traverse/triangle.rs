@@ -34,20 +34,25 @@ fn dot(a: Vec3, b: Vec3) -> f32 {
 
 /// Embree's rounding of a cross product.
 #[inline(always)]
-fn cross(a: Vec3, b: Vec3) -> Vec3 {
+pub(super) fn cross(a: Vec3, b: Vec3) -> Vec3 {
     let minor = |a1: f32, b2: f32, a2: f32, b1: f32| a1.mul_add(b2, -(a2 * b1));
     Vec3::new(minor(a.y, b.z, a.z, b.y), minor(a.z, b.x, a.x, b.z), minor(a.x, b.y, a.y, b.x))
+}
+
+/// The edges that the test works with: first vertex minus second, third minus first.
+#[inline(always)]
+pub(super) fn edges(triangle: &Triangle) -> (Vec3, Vec3) {
+    let [v0, v1, v2] = triangle.0;
+    (v0 - v1, v2 - v0)
 }
 
 impl PreparedTriangle {
     /// t of the hit, if there is one with tnear < t <= tfar (as in Embree, the start of the interval is outside of it).
     #[inline(always)]
     pub fn intersect(&self, ray: &PreparedRay) -> Option<f32> {
-        let [v0, v1, v2] = self.vertices.0;
-        let e1 = v0 - v1;
-        let e2 = v2 - v0;
+        let (e1, e2) = edges(&self.vertices);
         let normal = cross(e2, e1);
-        let c = v0 - ray.origin;
+        let c = self.vertices.0[0] - ray.origin;
         let r = cross(c, ray.direction);
         let den = dot(normal, ray.direction);
         // Flips what follows to the side of a positive denominator.
@@ -69,7 +74,7 @@ impl PreparedTriangle {
 
     /// The part that few candidates reach: agreement with the triangle's box.
     #[inline]
-    fn confirm(&self, ray: &PreparedRay, t: f32) -> Option<f32> {
+    pub(super) fn confirm(&self, ray: &PreparedRay, t: f32) -> Option<f32> {
         let entry = ray.entry(&self.vertices.bounds(), ray.tfar)?;
         let t = t.max(entry);
         t.is_finite().then_some(t.min(ray.tfar))
