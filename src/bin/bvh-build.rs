@@ -7,7 +7,7 @@ use embree_trace::cli::{self, Failure, Outcome, TextOrJson};
 use embree_trace::files::{MappedFile, OutputFile};
 use embree_trace::format::bvh::{self, Bvh, Contents, flag};
 use embree_trace::format::rays::Rays;
-use embree_trace::geometry::Ray;
+use embree_trace::geometry::{Ray, Triangle};
 use embree_trace::optimize::{Report, Stage, annealing, insertion, order, reinsertion, rotations};
 use embree_trace::progress::Progress;
 use embree_trace::recipe::{Heuristic, Made, Recipe};
@@ -15,8 +15,9 @@ use embree_trace::replay::select::{Filter, Portion};
 use embree_trace::training::Selection;
 use embree_trace::training::occlusions::{self, Occlusions};
 use embree_trace::traverse::{Counts, OcclusionOrder, OrderName, Prepared};
-use embree_trace::tree::TreeView;
+use embree_trace::tree::collapse::{self, CollapseError};
 use embree_trace::tree::statistics::{Statistics, sah_cost};
+use embree_trace::tree::{Tree, TreeView};
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::PathBuf;
@@ -41,6 +42,8 @@ Examples:
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --splits sweep --optimize rotations
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --train 0.1 --order   and an order for its occlusion queries
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --filter kind=closest --train 0.1
+  bvh-build embBuilt.bvh ours.bvh --splits sweep --width 8 --max-leaf 8    up to eight children a node
+  bvh-build embBuilt.bvh same.bvh --binary                                 Embree's own tree, made binary
 
 Exit codes: 0 good, 2 bad input or usage."
 )]
@@ -112,6 +115,13 @@ struct Arguments {
     /// says what they cost in every order, on the training queries and on the others
     #[arg(long, requires = "rays")]
     order: bool,
+    /// Build with one triangle a leaf and collapse to at most N children a node and --max-leaf triangles a leaf, at least cost: --ci a
+    /// node, --cp four triangles, by area or, where there are any, by the training queries
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(2..=8))]
+    width: Option<u8>,
+    /// Do not build: make the tree of the input binary, with one triangle a leaf
+    #[arg(long, conflicts_with_all = ["rays", "heuristic", "optimize", "width"])]
+    binary: bool,
     /// Seed of --train and of the optimisers
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -174,7 +184,8 @@ impl Arguments {
             splits,
             alpha: self.alpha,
             count: self.count,
-            max_leaf: self.max_leaf,
+            // Collapsing merges leaves itself, and better where it has the choice.
+            max_leaf: if self.width.is_some() { 1 } else { self.max_leaf },
             c_i: self.ci,
             c_p: self.cp,
         };
@@ -200,6 +211,32 @@ impl Arguments {
                 Stage::Reinsertion(reinsertion::Config { batches: or(default.batches), ..default })
             }
         }
+    }
+
+    /// How to collapse to `width`.
+    fn collapsing(&self, width: u8) -> collapse::Config {
+        let config = collapse::Config::vector(width.into());
+        collapse::Config { max_leaf: self.max_leaf, node: self.ci, block: self.cp, ..config }
+    }
+
+    /// The built tree with at most `width` children a node. With training queries a node's probability is as in a blend.
+    fn collapsed(
+        &self,
+        tree: &Tree,
+        width: u8,
+        triangles: &[Triangle],
+        rays: &[Ray],
+    ) -> Result<Tree, CollapseError> {
+        let config = self.collapsing(width);
+        let whole = f64::from(tree.nodes[0].bounds().area()).max(f64::MIN_POSITIVE);
+        let area = |node: usize| f64::from(tree.nodes[node].bounds().area()) / whole;
+        if rays.is_empty() {
+            return collapse::collapse(tree.view(), area, &config);
+        }
+        let overlaps = Prepared::new(tree.view(), triangles, &[]).overlaps(rays);
+        let share = |node: usize| overlaps[node] as f64 / rays.len() as f64;
+        let blend = |node: usize| self.weight * share(node) + (1.0 - self.weight) * area(node);
+        collapse::collapse(tree.view(), blend, &config)
     }
 
     /// The effective segments of the training queries, none without a recording; and the occlusion queries, when an order is wanted.
@@ -236,6 +273,9 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     if !cuts && (arguments.max_duplication.is_some() || arguments.overlap.is_some()) {
         return Err(Failure::new("--max-duplication and --overlap are for --splits spatial: add that"));
     }
+    if let Some(width) = arguments.width {
+        arguments.collapsing(width).check()?;
+    }
     let in_input =
         |error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", arguments.input.display()));
     let bytes = MappedFile::open(&arguments.input)?;
@@ -246,14 +286,24 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
 
     let progress = Progress::new("building", (before.triangles.len() + recipe.stages.len()) as u64);
     let started = Instant::now();
-    let made = pool
-        .install(|| recipe.make(before.triangles, &training, &progress))
-        .map_err(|error| in_input(&error))?;
+    let made = if arguments.binary {
+        Made { tree: collapse::binary(before.tree, before.triangles), optimized: None }
+    } else {
+        pool.install(|| recipe.make(before.triangles, &training, &progress))
+            .map_err(|error| in_input(&error))?
+    };
+    let Made { mut tree, optimized } = made;
+    if let Some(width) = arguments.width {
+        tree = arguments.collapsed(&tree, width, before.triangles, &training)?;
+    }
     let seconds = started.elapsed().as_secs_f64();
     drop(progress);
-    let Made { tree, optimized } = made;
 
-    let mut meta = recipe.meta();
+    let mut meta = if arguments.binary { json!({ "binary": true }) } else { recipe.meta() };
+    if let Some(width) = arguments.width {
+        meta["width"] = json!(width);
+        meta["max_leaf"] = json!(arguments.max_leaf);
+    }
     if recipe.heuristic.needs_rays() {
         meta["training"] = json!({
             "queries": training.len(), "filter": arguments.filter.to_string(), "train": arguments.train, "seed": arguments.seed,
@@ -268,14 +318,19 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         let prepared = Prepared::new(tree.view(), before.triangles, before.geometries);
         pool.install(|| ordered(&prepared, tree.view(), &occlusions, arguments))
     });
+    let kept = flag::FLATTENED | if arguments.binary { flag::SPATIAL_SPLITS } else { 0 };
+    let mut producer = recipe.builder.producer(recipe.heuristic.name());
+    if arguments.binary {
+        producer = "bvh-build binary".into();
+    }
     let contents = Contents {
         tree: tree.view(),
         triangles: before.triangles,
         geometries: before.geometries,
         order: ordered.as_ref().map(|(orders, _)| orders.as_slice()),
         meta: Some(&meta.to_string()),
-        flags: before.header.flags & flag::FLATTENED | if cuts { flag::SPATIAL_SPLITS } else { 0 },
-        producer: &recipe.builder.producer(recipe.heuristic.name()),
+        flags: before.header.flags & kept | if cuts { flag::SPATIAL_SPLITS } else { 0 },
+        producer: &producer,
     };
     bvh::write(&mut output, &contents).map_err(|error| output.write_error(error))?;
     output.commit()?;
