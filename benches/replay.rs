@@ -1,41 +1,51 @@
-//! Rays per second of binary trees, ours beside other crates', on recorded queries by purpose:
+//! Rays per second, ours beside other crates' and Embree's, on recorded queries by purpose:
 //! `cargo bench --bench replay -- [BVH RAYS]…`, with files that `embree-trace` wrote. Without any, a generated scene and
 //! queries that our own traversal answers.
 //!
 //! Not criterion: it measures one contender after the other, and a shared machine drifts meanwhile. Here every round
-//! runs each contender once on the same queries; the table shows medians over rounds, in million queries per processor
-//! second of one thread, and how many answers are those of the recording.
+//! runs each contender once on the same queries; the tables show medians over rounds, in million queries per processor
+//! second of one thread, and how many answers are those of the recording. The last table has what the targets ask for:
+//! ratios of ours to the fastest of others, by scene, and their medians.
 
 mod casters;
 #[allow(dead_code, reason = "of some crates only the traversal takes part here, and of some only the tree")]
 mod peers;
 
 use casters::*;
-use embree_trace::builder::{self, Config, Splits};
+use embree_trace::builder::{self, Config, Splits, spatial};
 use embree_trace::files::MappedFile;
 use embree_trace::format::bvh::Bvh;
 use embree_trace::format::rays::{Purpose, Rays, Record, flag, kind};
 use embree_trace::geometry::{Triangle, Vec3};
 use embree_trace::mesh::generate::courtyard;
+use embree_trace::optimize::{Stage, reinsertion};
 use embree_trace::progress::Progress;
 use embree_trace::random::Random;
+use embree_trace::recipe::{Heuristic, Recipe};
 use embree_trace::traverse::{All, Counts, Prepared, PreparedRay, Scratch, Traversal};
+use embree_trace::tree::{Tree, collapse};
 use obvhs::BvhBuildParams;
 use peers::Peer;
 use peers::obvhs_crate::Obvhs;
+use peers::tinybvh_crate::TinyBvh;
 use std::path::Path;
 
-const ROUNDS: usize = 7;
+const ROUNDS: usize = 5;
 /// Queries of each purpose, spread over the recording.
 const QUERIES: usize = 100_000;
+/// Least seconds of one contender in a round: the clock of a thread is coarse, and caches have to be filled first.
+const LEAST: f64 = 0.15;
+/// The purposes that targets are about.
+const PURPOSES: [Purpose; 3] = [Purpose::Camera, Purpose::Diffuse, Purpose::Shadow];
 
 fn main() {
     let paths: Vec<String> =
         std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
+    let mut ratios = Vec::new();
     if paths.is_empty() {
         let triangles = courtyard(64, 1).triangles();
         let records = made_up(&triangles);
-        compare("generated courtyard", &triangles, &records);
+        ratios.push(("courtyard".to_owned(), compare("generated courtyard", &triangles, &records)));
     }
     for pair in paths.chunks(2) {
         let [bvh_path, rays_path] = pair else {
@@ -48,42 +58,104 @@ fn main() {
         let records: Vec<Record> = (0..rays.chunks().len())
             .flat_map(|index| rays.chunk(index).expect("a whole chunk").records.into_owned())
             .collect();
-        compare(bvh_path, bvh.triangles, &records);
+        let name = Path::new(bvh_path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        ratios.push((name, compare(bvh_path, bvh.triangles, &records)));
     }
+    print_ratios(&ratios);
 }
 
 fn open(path: &str) -> MappedFile {
     MappedFile::open(Path::new(path)).expect("a readable file")
 }
 
-fn compare(name: &str, triangles: &[Triangle], records: &[Record]) {
-    let build =
-        |config| builder::build(triangles, &config, &Progress::hidden()).expect("a valid configuration");
-    let binned = Prepared::new(build(Config::default()).view(), triangles, &[]);
-    let leaves = Prepared::new(build(Config { max_leaf: 4, ..Config::default() }).view(), triangles, &[]);
-    let sweep =
-        Prepared::new(build(Config { splits: Splits::Sweep, ..Config::default() }).view(), triangles, &[]);
-    let medium = Obvhs(BvhBuildParams::medium_build());
-    let theirs = Obvhs::tree(&medium.build(&mut Obvhs::prepare(triangles)));
-    let on_theirs = Prepared::new(theirs.view(), triangles, &[]);
+/// Whom a contender is compared with.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Side {
+    /// Our binary tree: the target is the fastest `BinaryPeer`.
+    Binary,
+    BinaryCounting,
+    /// Our tree of eight: the target is `Embree`.
+    Eight,
+    BinaryPeer,
+    Embree,
+    /// Shown only.
+    Other,
+}
+
+/// Trees of ours, from area alone.
+struct Trees {
+    binary: Tree,
+    four: Tree,
+    eight: Tree,
+}
+
+impl Trees {
+    fn new(triangles: &[Triangle]) -> Trees {
+        let recipe = Recipe {
+            heuristic: Heuristic::Sah,
+            builder: Config { splits: Splits::Spatial(spatial::Options::default()), ..Config::default() },
+            stages: vec![Stage::Reinsertion(reinsertion::Config::default())],
+            budget: None,
+        };
+        let tree = recipe.make(triangles, &[], &Progress::hidden()).expect("a valid recipe").tree;
+        let area = |node: usize| f64::from(tree.nodes[node].bounds().area());
+        let [binary, four, eight] = [2, 4, 8].map(|width| {
+            let config = collapse::Config::vector(width);
+            collapse::collapse(tree.view(), area, &config).expect("a binary tree")
+        });
+        Trees { binary, four, eight }
+    }
+}
+
+/// Ratios of ours to the fastest of the others, by purpose: binary, counting, eight.
+type Ratios = [[f64; 3]; 3];
+
+fn compare(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
+    let prepared = |tree: &Tree| Prepared::new(tree.view(), triangles, &[]);
+    let trees = Trees::new(triangles);
+    let (binary, four, eight) = (prepared(&trees.binary), prepared(&trees.four), prepared(&trees.eight));
+    let theirs = |parameters| Obvhs::tree(&Obvhs(parameters).build(&mut Obvhs::prepare(triangles)));
+    let on_medium = prepared(&theirs(BvhBuildParams::medium_build()));
+    let on_slow = prepared(&theirs(BvhBuildParams::very_slow_build()));
     let corners: Vec<[f32; 4]> = triangles.iter().flat_map(|t| t.0.map(|v| [v.x, v.y, v.z, 0.0])).collect();
     let tiny = tinybvh_rs::bvh::BVH::new(corners.as_slice().into()).expect("whole triangles");
+    let tiny_hq = tinybvh_rs::bvh::BVH::new_hq(corners.as_slice().into()).expect("whole triangles");
+    let on_tiny =
+        prepared(&TinyBvh::tree(&TinyBvh { spatial: true }.build(&mut TinyBvh::prepare(triangles))));
     let (odf, ray_order) = (Traversal::Odf, Traversal::RayOrder);
-    let mut contenders: Vec<(&str, Runner)> = vec![
-        ("ours ODF", runner(Ours::<()>::new(&binned, odf))),
-        ("ours ODF, counting", runner(Ours::<Counts>::new(&binned, odf))),
-        ("ours RayOrder", runner(Ours::<()>::new(&binned, ray_order))),
-        ("ours RayOrder, counting", runner(Ours::<Counts>::new(&binned, ray_order))),
-        ("ours ODF, leaf 4", runner(Ours::<()>::new(&leaves, odf))),
-        ("ours ODF, sweep", runner(Ours::<()>::new(&sweep, odf))),
-        ("ours ODF, obvhs' tree", runner(Ours::<()>::new(&on_theirs, odf))),
-        ("obvhs medium", runner(ObvhsCaster::new(triangles, BvhBuildParams::medium_build()))),
-        ("obvhs very slow", runner(ObvhsCaster::new(triangles, BvhBuildParams::very_slow_build()))),
-        ("tinybvh-rs", runner(TinyBvhCaster(tiny))),
-        ("parry3d", runner(ParryCaster::new(triangles))),
-        ("bvh", runner(BvhCrateCaster::new(triangles))),
+    #[cfg(feature = "embree")]
+    let scenes = EmbreeScenes::new(triangles);
+    #[cfg_attr(not(feature = "embree"), expect(unused_mut, reason = "Embree's rows are added"))]
+    let mut contenders: Vec<(&str, Side, Runner)> = vec![
+        ("ours ODF", Side::Binary, runner(Ours::<()>::new(&binary, odf))),
+        ("ours ODF, counting", Side::BinaryCounting, runner(Ours::<Counts>::new(&binary, odf))),
+        ("ours ODF, farthest first", Side::Other, runner(Ours::<()>::farthest_first(&binary))),
+        ("ours RayOrder", Side::Other, runner(Ours::<()>::new(&binary, ray_order))),
+        ("ours ODF, obvhs medium tree", Side::Other, runner(Ours::<()>::new(&on_medium, odf))),
+        ("ours ODF, obvhs slow tree", Side::Other, runner(Ours::<()>::new(&on_slow, odf))),
+        ("ours ODF, tinybvh-rs HQ tree", Side::Other, runner(Ours::<()>::new(&on_tiny, odf))),
+        (
+            "obvhs medium",
+            Side::BinaryPeer,
+            runner(ObvhsCaster::new(triangles, BvhBuildParams::medium_build())),
+        ),
+        (
+            "obvhs very slow",
+            Side::BinaryPeer,
+            runner(ObvhsCaster::new(triangles, BvhBuildParams::very_slow_build())),
+        ),
+        ("tinybvh-rs", Side::BinaryPeer, runner(TinyBvhCaster(tiny))),
+        ("tinybvh-rs HQ", Side::BinaryPeer, runner(TinyBvhCaster(tiny_hq))),
+        ("parry3d", Side::BinaryPeer, runner(ParryCaster::new(triangles))),
+        ("bvh", Side::BinaryPeer, runner(BvhCrateCaster::new(triangles))),
+        ("ours ODF, 4 wide", Side::Other, runner(Ours::<()>::new(&four, odf))),
+        ("ours ODF, 8 wide", Side::Eight, runner(Ours::<()>::new(&eight, odf))),
+        ("ours ODF, 8 wide, farthest", Side::Eight, runner(Ours::<()>::farthest_first(&eight))),
+        ("ours RayOrder, 8 wide", Side::Other, runner(Ours::<()>::new(&eight, ray_order))),
     ];
-    for purpose in Purpose::ALL {
+    #[cfg(feature = "embree")]
+    contenders.extend(scenes.casters().map(|(name, caster)| (name, Side::Embree, runner(caster))));
+    PURPOSES.map(|purpose| {
         let chosen: Vec<Record> = records
             .iter()
             .filter(|r| Purpose::from_byte(r.purpose) == purpose && r.flags & flag::HAS_REJECTS == 0)
@@ -92,30 +164,69 @@ fn compare(name: &str, triangles: &[Triangle], records: &[Record]) {
         let queries: Vec<Record> =
             chosen.iter().step_by(chosen.len().div_ceil(QUERIES).max(1)).copied().collect();
         if queries.is_empty() {
-            continue;
-        }
-        let mut seconds = vec![Vec::new(); contenders.len()];
-        let mut right = vec![0; contenders.len()];
-        for _ in 0..ROUNDS {
-            for (index, (_, run)) in contenders.iter_mut().enumerate() {
-                let before = processor_seconds();
-                right[index] = run(&queries);
-                seconds[index].push(processor_seconds() - before);
-            }
+            return [f64::NAN; 3];
         }
         println!("\n{name}, {} triangles, {}: {} queries", triangles.len(), purpose.name(), queries.len());
-        println!("{:<26}{:>12}{:>10}{:>10}", "", "M queries/s", "spread", "wrong");
-        for (((name, _), mut seconds), right) in contenders.iter().zip(seconds).zip(right) {
-            seconds.sort_by(f64::total_cmp);
-            let rate = |seconds: f64| queries.len() as f64 * 1e-6 / seconds;
-            let spread = (rate(seconds[0]) - rate(seconds[ROUNDS - 1])) / rate(seconds[ROUNDS / 2]);
-            println!(
-                "{name:<26}{:>12.3}{:>9.0}%{:>10}",
-                rate(seconds[ROUNDS / 2]),
-                100.0 * spread,
-                queries.len() - right
-            );
+        let rates = measured(&mut contenders, &queries);
+        let best = |side: Side| {
+            let rates = contenders.iter().zip(&rates).filter(|((_, other, _), _)| *other == side);
+            rates.map(|(_, rate)| *rate).fold(f64::NAN, f64::max)
+        };
+        let peer = best(Side::BinaryPeer);
+        [best(Side::Binary) / peer, best(Side::BinaryCounting) / peer, best(Side::Eight) / best(Side::Embree)]
+    })
+}
+
+/// Prints and returns the rate of each contender.
+fn measured(contenders: &mut [(&str, Side, Runner)], queries: &[Record]) -> Vec<f64> {
+    let mut seconds = vec![Vec::new(); contenders.len()];
+    let mut right = vec![0; contenders.len()];
+    let mut passes = vec![1; contenders.len()];
+    for round in 0..=ROUNDS {
+        for (index, (_, _, run)) in contenders.iter_mut().enumerate() {
+            let before = processor_seconds();
+            (0..passes[index]).for_each(|_| right[index] = run(queries));
+            let each = (processor_seconds() - before) / passes[index] as f64;
+            if round == 0 {
+                // Only to learn how long it takes.
+                passes[index] = (LEAST / each.max(1e-3)).ceil() as usize;
+            } else {
+                seconds[index].push(each);
+            }
         }
+    }
+    println!("{:<30}{:>12}{:>10}{:>10}", "", "M queries/s", "spread", "wrong");
+    let mut rates = Vec::new();
+    for (((name, ..), mut seconds), right) in contenders.iter().zip(seconds).zip(right) {
+        seconds.sort_by(f64::total_cmp);
+        let rate = |seconds: f64| queries.len() as f64 * 1e-6 / seconds;
+        let spread = (rate(seconds[0]) - rate(seconds[ROUNDS - 1])) / rate(seconds[ROUNDS / 2]);
+        println!(
+            "{name:<30}{:>12.3}{:>9.0}%{:>10}",
+            rate(seconds[ROUNDS / 2]),
+            100.0 * spread,
+            queries.len() - right
+        );
+        rates.push(rate(seconds[ROUNDS / 2]));
+    }
+    rates
+}
+
+fn print_ratios(scenes: &[(String, Ratios)]) {
+    let titles =
+        ["binary / fastest binary crate", "the same, counting", "8 wide / fastest Embree (medium, high)"];
+    for (place, title) in titles.iter().enumerate() {
+        println!("\n{title:<40}{}", PURPOSES.map(|purpose| format!("{:>10}", purpose.name())).concat());
+        for (name, ratios) in scenes {
+            println!("{name:<40}{}", ratios.map(|ratios| format!("{:>10.2}", ratios[place])).concat());
+        }
+        let medians = [0, 1, 2].map(|purpose| {
+            let mut all: Vec<f64> = scenes.iter().map(|(_, ratios)| ratios[purpose][place]).collect();
+            all.retain(|ratio| ratio.is_finite());
+            all.sort_by(f64::total_cmp);
+            format!("{:>10.2}", all.get(all.len() / 2).copied().unwrap_or(f64::NAN))
+        });
+        println!("{:<40}{}", "median", medians.concat());
     }
 }
 

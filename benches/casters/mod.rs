@@ -1,11 +1,19 @@
-//! Who casts rays: our traversals, and other crates' binary trees with their own traversal and triangle test.
+//! Who casts rays: our traversals, other crates' binary trees with their own traversal and triangle test, and Embree.
+
+#[cfg(feature = "embree")]
+mod embree;
+
+#[cfg(feature = "embree")]
+pub use embree::EmbreeScenes;
 
 use super::peers::Peer;
 use super::peers::obvhs_crate::Obvhs;
 use super::peers::parry_crate::Parry;
 use embree_trace::format::rays::Record;
 use embree_trace::geometry::{Triangle, Vec3};
-use embree_trace::traverse::{All, Counts, Observer, Prepared, PreparedRay, Scratch, Traversal};
+use embree_trace::traverse::{
+    All, Counts, Observer, OcclusionOrder, Prepared, PreparedRay, Scratch, Traversal,
+};
 use std::hint::black_box;
 use tinybvh_rs::{Intersector, bvh::BVH};
 
@@ -22,11 +30,18 @@ pub struct Ours<'a, O> {
     pub traversal: Traversal,
     pub scratch: Scratch,
     pub observer: O,
+    /// The order of occlusion queries, where it is not nearest first.
+    pub order: Option<OcclusionOrder>,
 }
 
 impl<'a, O: Observer + Default> Ours<'a, O> {
     pub fn new(prepared: &'a Prepared, traversal: Traversal) -> Ours<'a, O> {
-        Ours { prepared, traversal, scratch: Scratch::default(), observer: O::default() }
+        Ours { prepared, traversal, scratch: Scratch::default(), observer: O::default(), order: None }
+    }
+
+    /// Depth first; occlusion queries visit the farthest child first.
+    pub fn farthest_first(prepared: &'a Prepared) -> Ours<'a, O> {
+        Ours { order: Some(OcclusionOrder::Farthest), ..Ours::new(prepared, Traversal::Odf) }
     }
 }
 
@@ -58,7 +73,11 @@ impl<O: Observer + PerQuery> Caster for Ours<'_, O> {
     fn occluded(&mut self, record: &Record) -> bool {
         self.observer = O::default();
         let ray = PreparedRay::new(&record.ray());
-        let hit = self.prepared.occluder(self.traversal, &ray, &All, &mut self.observer, &mut self.scratch);
+        let (observer, scratch) = (&mut self.observer, &mut self.scratch);
+        let hit = match &self.order {
+            None => self.prepared.occluder(self.traversal, &ray, &All, observer, scratch),
+            Some(order) => self.prepared.occluder_in(order, &ray, &All, observer, scratch),
+        };
         self.observer.done();
         hit.is_some()
     }
