@@ -12,6 +12,7 @@
 //! Scenes are files (`.obj`, `.ply`, also `.zst`); without any, one that is generated. ONLY=TEXT runs the contenders whose names contain it.
 
 mod peers;
+mod stopwatch;
 
 use embree_trace::builder::spatial::Options;
 use embree_trace::builder::{self, Config, Splits};
@@ -32,7 +33,7 @@ use peers::Peer;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::hint::black_box;
 use std::path::Path;
-use std::time::Instant;
+use stopwatch::{Stopwatch, Took, median};
 
 /// Rounds, unless the environment variable ROUNDS says another number.
 const ROUNDS: usize = 7;
@@ -42,35 +43,6 @@ const QUERIES: usize = 200_000;
 
 /// Builds on the threads of a pool, and says how long it took; on request also what came out.
 type Run<'a> = Box<dyn FnMut(&ThreadPool, bool) -> (Took, Option<Tree>) + 'a>;
-
-/// Seconds by the wall clock and of the processors.
-struct Took {
-    wall: f64,
-    processor: f64,
-}
-
-/// Measures from now until it is asked.
-struct Stopwatch(Instant, f64);
-
-impl Stopwatch {
-    fn start() -> Stopwatch {
-        Stopwatch(Instant::now(), processor_seconds())
-    }
-
-    fn stop(self) -> Took {
-        Took { wall: self.0.elapsed().as_secs_f64(), processor: processor_seconds() - self.1 }
-    }
-}
-
-/// Time that this process' threads have spent on a processor, from Linux; 0 elsewhere.
-fn processor_seconds() -> f64 {
-    let nanoseconds = |task: std::io::Result<std::fs::DirEntry>| -> Option<u64> {
-        let text = std::fs::read_to_string(task.ok()?.path().join("schedstat")).ok()?;
-        text.split(' ').next()?.parse().ok()
-    };
-    let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten();
-    tasks.filter_map(nanoseconds).sum::<u64>() as f64 * 1e-9
-}
 
 fn main() {
     let paths: Vec<String> =
@@ -161,14 +133,12 @@ fn compare(name: &str, mesh: &Mesh, records: &[Record]) {
     }
 }
 
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
-}
-
 fn contenders<'a>(mesh: &'a Mesh, triangles: &'a [Triangle]) -> Vec<(&'static str, Run<'a>)> {
     let sweep = Config { splits: Splits::Sweep, ..Config::default() };
     let spatial = Config { splits: Splits::Spatial(Options::default()), ..Config::default() };
+    let full = reinsertion::Config::default();
+    // The likeliest nodes once: most of the gain for little of the time.
+    let quick = reinsertion::Config { batches: 1, share: 0.05, ..full };
     let leaves = |config| Config { max_leaf: 8, ..config };
     let theirs_obvhs = |params| theirs(peers::obvhs_crate::Obvhs(params), triangles);
     let mut contenders = vec![
@@ -179,9 +149,11 @@ fn contenders<'a>(mesh: &'a Mesh, triangles: &'a [Triangle]) -> Vec<(&'static st
         ("ours, sweep, leaf 8", ours(triangles, leaves(sweep))),
         ("ours, spatial", ours(triangles, spatial)),
         ("ours, spatial, leaf 8", ours(triangles, leaves(spatial))),
-        ("ours, sweep + reinsertion", optimized(triangles, sweep)),
-        ("ours, spatial + reinsertion", optimized(triangles, spatial)),
-        ("ours, spatial + reinsertion, leaf 8", optimized(triangles, leaves(spatial))),
+        ("ours, binned + quick, leaf 8", optimized(triangles, leaves(Config::default()), quick)),
+        ("ours, sweep + reinsertion", optimized(triangles, sweep, full)),
+        ("ours, spatial + quick, leaf 8", optimized(triangles, leaves(spatial), quick)),
+        ("ours, spatial + reinsertion", optimized(triangles, spatial, full)),
+        ("ours, spatial + reinsertion, leaf 8", optimized(triangles, leaves(spatial), full)),
         ("tinybvh-rs", theirs(peers::tinybvh_crate::TinyBvh { spatial: false }, triangles)),
         ("tinybvh-rs spatial", theirs(peers::tinybvh_crate::TinyBvh { spatial: true }, triangles)),
         ("bvh", theirs(peers::bvh_crate::BvhCrate, triangles)),
@@ -216,8 +188,8 @@ fn embree(mesh: &Mesh, quality: embree_trace::embree::Quality) -> Run<'_> {
 }
 
 /// Built, then optimised by area.
-fn optimized(triangles: &[Triangle], builder: Config) -> Run<'_> {
-    let stages = vec![Stage::Reinsertion(reinsertion::Config::default())];
+fn optimized(triangles: &[Triangle], builder: Config, reinsertion: reinsertion::Config) -> Run<'_> {
+    let stages = vec![Stage::Reinsertion(reinsertion)];
     let recipe = Recipe { heuristic: Heuristic::Sah, builder, stages, budget: None };
     Box::new(move |pool, keep| {
         pool.install(|| {
