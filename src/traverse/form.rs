@@ -117,7 +117,7 @@ impl Stack<'_> {
     }
 }
 
-/// A tree's inner nodes in memory, and how a ray is tested against the children of one on a [`Machine`].
+/// A tree's inner nodes in memory, and how a ray is tested against the children of one on a kind of processor.
 pub trait Form<M: Machine> {
     /// What a query computes once for all its tests.
     type Ray: Copy;
