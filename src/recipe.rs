@@ -4,6 +4,8 @@
 //! Data flows so: triangles (+ effective segments) → [`crate::builder`] with a probability → [`crate::optimize`] with the measure
 //! that belongs to it → [`crate::tree::leaves`], where leaves may hold several → a tree. Builder and optimisers see the same heuristic, so that the one does not undo the other.
 
+pub mod auto;
+
 use crate::builder::reference::References;
 use crate::builder::{self, BuildError, build_with};
 use crate::geometry::{Ray, Triangle};
@@ -120,7 +122,8 @@ impl Recipe {
         }
         let references = References::of(triangles);
         let bounds = references.bounds;
-        let deadline = self.budget.map(|budget| started + budget);
+        // A budget that ends beyond all time is none.
+        let deadline = self.budget.and_then(|budget| started.checked_add(budget));
         // Optimisers gain most on leaves of one; larger ones are made afterwards.
         let max_leaf = if self.stages.is_empty() { self.builder.max_leaf } else { 1 };
         let config = builder::Config { max_leaf, ..self.builder };

@@ -4,10 +4,11 @@
 //! [`crate::recipe::Recipe::make`]. The queries that it leaves are for `bvh-compare --held-out`.
 
 pub mod occlusions;
+pub mod queries;
 
 use crate::format::FormatError;
 use crate::format::bvh::Bvh;
-use crate::format::rays::Rays;
+use crate::format::rays::{Chunk, Rays, Reject, flag};
 use crate::geometry::Ray;
 use crate::replay::select::{Filter, Portion};
 use thiserror::Error;
@@ -63,6 +64,16 @@ impl Selection {
         let place = |index: usize| (index as u128 * chosen.len() as u128 / self.most as u128) as usize;
         Ok((0..self.most).map(|index| chosen[place(index)]).collect())
     }
+}
+
+/// What the program refused of one record of a chunk; they are sorted by record.
+fn rejects_of(chunk: &Chunk, place: usize) -> Box<[Reject]> {
+    if chunk.records[place].flags & flag::HAS_REJECTS == 0 {
+        return Box::default();
+    }
+    let start = chunk.rejects.partition_point(|reject| (reject.record as usize) < place);
+    let end = chunk.rejects.partition_point(|reject| reject.record as usize <= place);
+    chunk.rejects[start..end].into()
 }
 
 /// Refuses a recording that says that it is of another scene than `bvh`.

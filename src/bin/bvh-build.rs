@@ -10,10 +10,11 @@ use embree_trace::format::rays::Rays;
 use embree_trace::geometry::{Ray, Triangle};
 use embree_trace::optimize::{Report, Stage, annealing, insertion, order, reinsertion, rotations};
 use embree_trace::progress::Progress;
-use embree_trace::recipe::{Heuristic, Made, Recipe};
+use embree_trace::recipe::{Heuristic, Made, Recipe, RecipeError, auto};
 use embree_trace::replay::select::{Filter, Portion};
 use embree_trace::training::Selection;
 use embree_trace::training::occlusions::{self, Occlusions};
+use embree_trace::training::queries::{self, Query};
 use embree_trace::traverse::{Counts, OcclusionOrder, OrderName, Prepared};
 use embree_trace::tree::collapse::{self, CollapseError};
 use embree_trace::tree::statistics::{Statistics, sah_cost};
@@ -38,6 +39,7 @@ Examples:
   bvh-build embBuilt.bvh ours.bvh --splits sweep --alpha 0.88
   bvh-build embBuilt.bvh ours.bvh --splits spatial --optimize reinsertion   the lowest SAH cost
   bvh-build embBuilt.bvh ours.bvh --max-leaf 8               leaves of up to 8 where that lowers the SAH cost
+  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --heuristic auto   the best tree for these rays that it finds in 30 s
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays       a tree for these rays: blend 0.95
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --splits sweep --optimize rotations
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --train 0.1 --order   and an order for its occlusion queries
@@ -107,8 +109,8 @@ struct Arguments {
     /// Sweeps of annealing, rounds of insertion, batches of reinsertion; 0 is the default of each
     #[arg(long, default_value_t = 0, value_name = "N")]
     iterations: u32,
-    /// Optimisers stop after so many seconds from the start of the build. What they reach in a time differs from run to run: without this,
-    /// the same input gives the same tree
+    /// Optimisers stop after so many seconds from the start of the build, and auto tries no more (30 by default). What they reach in a time
+    /// differs from run to run: without it, the same input gives the same tree
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     budget: Option<Duration>,
     /// Choose a traversal order for the occlusion queries of every node from the recorded ones, and store it (section ORDR);
@@ -141,6 +143,9 @@ enum Kind {
     Rdh,
     /// --weight · rays + (1 - weight) · area
     Blend,
+    /// Whichever costs the queries least that a quarter of the training pixels were set apart for: chooses splits, leaves, weight, exponent and
+    /// optimisers within --budget, and area alone where rays do not help
+    Auto,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -171,7 +176,8 @@ impl Arguments {
     fn recipe(&self) -> Recipe {
         let kind = self.heuristic.unwrap_or(if self.rays.is_some() { Kind::Blend } else { Kind::Sah });
         let heuristic = match kind {
-            Kind::Sah => Heuristic::Sah,
+            // Area alone is the first that it tries.
+            Kind::Sah | Kind::Auto => Heuristic::Sah,
             Kind::Rdh => Heuristic::Rdh { floor: self.floor },
             Kind::Blend => Heuristic::Blend { weight: self.weight },
         };
@@ -239,8 +245,12 @@ impl Arguments {
         collapse::collapse(tree.view(), blend, &config)
     }
 
-    /// The effective segments of the training queries, none without a recording; and the occlusion queries, when an order is wanted.
-    fn training(&self, bvh: &Bvh) -> Result<(Vec<Ray>, Occlusions), Failure> {
+    fn is_auto(&self) -> bool {
+        self.heuristic == Some(Kind::Auto)
+    }
+
+    /// What the tree is made from: nothing without a recording.
+    fn training(&self, bvh: &Bvh) -> Result<Training, Failure> {
         let Some(path) = &self.rays else { return Ok(Default::default()) };
         let at = |error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", path.display()));
         let bytes = MappedFile::open(path)?;
@@ -251,15 +261,47 @@ impl Arguments {
             portion: Portion { share: self.train, seed: self.seed },
             most: self.train_limit as usize,
         };
-        let segments = selection.read(&rays, bvh).map_err(|error| at(&error))?;
-        let occlusions = if self.order {
-            occlusions::read(&selection, &rays, bvh).map_err(|error| at(&error))?
+        let mut training = Training::default();
+        if self.is_auto() {
+            training.queries = queries::read(&selection, &rays, bvh).map_err(|error| at(&error))?;
+            training.segments = training.queries.iter().map(|query| query.segment).collect();
         } else {
-            Occlusions::default()
-        };
-        Ok((segments, occlusions))
+            training.segments = selection.read(&rays, bvh).map_err(|error| at(&error))?;
+        }
+        if self.order || self.is_auto() {
+            training.occlusions = occlusions::read(&selection, &rays, bvh).map_err(|error| at(&error))?;
+        }
+        Ok(training)
+    }
+
+    /// Makes the tree, and says what auto tried.
+    fn make(&self, bvh: &Bvh, training: &Training) -> Result<(Recipe, Made, Option<Value>), RecipeError> {
+        let recipe = self.recipe();
+        if self.is_auto() {
+            let scene = auto::Scene { triangles: bvh.triangles, geometries: bvh.geometries };
+            let budget = self.budget.unwrap_or(BUDGET);
+            let config = auto::Config { budget, c_i: self.ci, c_p: self.cp };
+            let chosen = auto::choose(scene, &training.queries, &config)?;
+            let report = chosen.report();
+            return Ok((chosen.recipe, chosen.made, Some(report)));
+        }
+        let steps = (bvh.triangles.len() + recipe.stages.len()) as u64;
+        let progress = Progress::new("building", steps);
+        let made = recipe.make(bvh.triangles, &training.segments, &progress)?;
+        Ok((recipe, made, None))
     }
 }
+
+/// What a recording gives: effective segments, the whole queries for auto, occlusion queries for an order.
+#[derive(Default)]
+struct Training {
+    segments: Vec<Ray>,
+    queries: Vec<Query>,
+    occlusions: Occlusions,
+}
+
+/// Time for auto.
+const BUDGET: Duration = Duration::from_secs(30);
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
@@ -267,46 +309,52 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
-    let recipe = arguments.recipe();
-    recipe.check()?;
-    let cuts = matches!(recipe.builder.splits, Splits::Spatial(_));
+    let asked = arguments.recipe();
+    asked.check()?;
+    let cuts = matches!(asked.builder.splits, Splits::Spatial(_));
     if !cuts && (arguments.max_duplication.is_some() || arguments.overlap.is_some()) {
         return Err(Failure::new("--max-duplication and --overlap are for --splits spatial: add that"));
     }
     if let Some(width) = arguments.width {
         arguments.collapsing(width).check()?;
     }
+    if arguments.is_auto() && !arguments.optimize.is_empty() {
+        return Err(Failure::new("--heuristic auto chooses the optimisers itself: leave out --optimize"));
+    }
     let in_input =
         |error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", arguments.input.display()));
     let bytes = MappedFile::open(&arguments.input)?;
     let before = Bvh::parse(&bytes).map_err(|error| in_input(&error))?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(arguments.threads.into()).build()?;
-    let (training, occlusions) = pool.install(|| arguments.training(&before))?;
+    let training = pool.install(|| arguments.training(&before))?;
+    let training_queries = training.segments.len();
     let mut output = OutputFile::create(&arguments.output)?;
 
-    let progress = Progress::new("building", (before.triangles.len() + recipe.stages.len()) as u64);
     let started = Instant::now();
-    let made = if arguments.binary {
-        Made { tree: collapse::binary(before.tree, before.triangles), optimized: None }
+    let (recipe, made, auto) = if arguments.binary {
+        let tree = collapse::binary(before.tree, before.triangles);
+        (asked, Made { tree, optimized: None }, None)
     } else {
-        pool.install(|| recipe.make(before.triangles, &training, &progress))
-            .map_err(|error| in_input(&error))?
+        pool.install(|| arguments.make(&before, &training)).map_err(|error| in_input(&error))?
     };
     let Made { mut tree, optimized } = made;
     if let Some(width) = arguments.width {
-        tree = arguments.collapsed(&tree, width, before.triangles, &training)?;
+        tree = arguments.collapsed(&tree, width, before.triangles, &training.segments)?;
     }
     let seconds = started.elapsed().as_secs_f64();
-    drop(progress);
 
+    let is_cut = matches!(recipe.builder.splits, Splits::Spatial(_));
     let mut meta = if arguments.binary { json!({ "binary": true }) } else { recipe.meta() };
     if let Some(width) = arguments.width {
         meta["width"] = json!(width);
         meta["max_leaf"] = json!(arguments.max_leaf);
     }
-    if recipe.heuristic.needs_rays() {
+    if let Some(auto) = &auto {
+        meta["auto"] = auto.clone();
+    }
+    if recipe.heuristic.needs_rays() || auto.is_some() {
         meta["training"] = json!({
-            "queries": training.len(), "filter": arguments.filter.to_string(), "train": arguments.train, "seed": arguments.seed,
+            "queries": training_queries, "filter": arguments.filter.to_string(), "train": arguments.train, "seed": arguments.seed,
         });
     }
     // Where the image's size is known, it stays known.
@@ -314,9 +362,10 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     if let Some(image) = recorded.as_ref().and_then(|meta| meta.get("image")) {
         meta["image"] = image.clone();
     }
-    let ordered = arguments.order.then(|| {
+    let wants_order = arguments.order || !training.occlusions.training.is_empty();
+    let ordered = wants_order.then(|| {
         let prepared = Prepared::new(tree.view(), before.triangles, before.geometries);
-        pool.install(|| ordered(&prepared, tree.view(), &occlusions, arguments))
+        pool.install(|| ordered(&prepared, tree.view(), &training.occlusions, arguments))
     });
     let kept = flag::FLATTENED | if arguments.binary { flag::SPATIAL_SPLITS } else { 0 };
     let mut producer = recipe.builder.producer(recipe.heuristic.name());
@@ -329,7 +378,7 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         geometries: before.geometries,
         order: ordered.as_ref().map(|(orders, _)| orders.as_slice()),
         meta: Some(&meta.to_string()),
-        flags: before.header.flags & kept | if cuts { flag::SPATIAL_SPLITS } else { 0 },
+        flags: before.header.flags & kept | if is_cut { flag::SPATIAL_SPLITS } else { 0 },
         producer: &producer,
     };
     bvh::write(&mut output, &contents).map_err(|error| output.write_error(error))?;
@@ -339,7 +388,7 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         "triangles": before.triangles.len(),
         "left_out": before.triangles.iter().filter(|triangle| !triangle.is_finite()).count(),
         "references": tree.primitives.len(),
-        "training_queries": training.len(),
+        "training_queries": training_queries,
         "seconds": seconds,
         "threads": pool.current_num_threads(),
         "build": meta,
@@ -430,6 +479,7 @@ fn print(report: &Value, format: TextOrJson) -> std::io::Result<()> {
     if report["training_queries"] != 0 {
         writeln!(out, "{} training queries", report["training_queries"])?;
     }
+    print_trials(&mut out, &report["build"]["auto"])?;
     if let Some(stages) = report["optimized"]["stages"].as_array() {
         let mut cost = report["optimized"]["before"].as_f64().unwrap_or_default();
         for stage in stages {
@@ -447,6 +497,39 @@ fn print(report: &Value, format: TextOrJson) -> std::io::Result<()> {
     print_order(&mut out, &report["order"])?;
     let cost = |tree: &str| report[tree]["sah_cost"].as_f64().unwrap_or_default();
     writeln!(out, "{:<12}{:>10.2}{:>12.2}", "SAH cost", cost("before"), cost("after"))
+}
+
+/// What auto tried: a line for each recipe, with what it costs a judging query and what that is of area alone.
+fn print_trials(out: &mut impl Write, auto: &Value) -> std::io::Result<()> {
+    let Some(trials) = auto["trials"].as_array().filter(|trials| !trials.is_empty()) else { return Ok(()) };
+    writeln!(
+        out,
+        "{} judging queries: each\n{:<40}{:>10}{:>10}{:>10}",
+        auto["judges"], "", "fitted to", "cost", "ratio"
+    )?;
+    let cost = |trial: &Value| trial["cost"].as_f64().unwrap_or_default();
+    for (index, trial) in trials.iter().enumerate() {
+        let recipe = &trial["recipe"];
+        let mut name = recipe["heuristic"].as_str().unwrap_or_default().to_owned();
+        if let Some(weight) = recipe["weight"].as_f64() {
+            name += &format!(" {weight}");
+        }
+        if let Some(alpha) = recipe["alpha"].as_f64().filter(|&alpha| alpha != 1.0) {
+            name += &format!(" alpha {alpha}");
+        }
+        for stage in recipe["optimize"].as_array().into_iter().flatten() {
+            name += &format!(" + {}", stage.as_str().unwrap_or_default());
+        }
+        let chosen = if auto["winner"] == index { "  chosen" } else { "" };
+        let ratio = cost(trial) / cost(&trials[0]);
+        writeln!(
+            out,
+            "{name:<40}{:>10}{:>10.2}{ratio:>10.3}{chosen}",
+            trial["queries"].to_string(),
+            cost(trial)
+        )?;
+    }
+    Ok(())
 }
 
 /// A line for each order: what an occlusion query costs in it, and what that is of nearest first.

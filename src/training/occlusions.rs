@@ -1,9 +1,9 @@
 //! Recorded occlusion queries, whole: with the masks and rejects that decide which triangles occlude. They choose and judge
 //! the order in which occlusion queries visit children ([`crate::optimize::order`]).
 
-use super::{Selection, TrainingError, same_scene};
+use super::{Selection, TrainingError, rejects_of, same_scene};
 use crate::format::bvh::Bvh;
-use crate::format::rays::{Rays, Reject, flag};
+use crate::format::rays::{Rays, Reject};
 use crate::geometry::Ray;
 use crate::traverse::Recorded;
 
@@ -49,13 +49,7 @@ pub fn read(selection: &Selection, rays: &Rays, bvh: &Bvh) -> Result<Occlusions,
             if !record.is_occlusion() || !selection.filter.accepts(record) {
                 continue;
             }
-            let rejects = if record.flags & flag::HAS_REJECTS != 0 {
-                let start = chunk.rejects.partition_point(|reject| (reject.record as usize) < place);
-                let end = chunk.rejects.partition_point(|reject| reject.record as usize <= place);
-                chunk.rejects[start..end].into()
-            } else {
-                Box::default()
-            };
+            let rejects = rejects_of(&chunk, place);
             let trains = selection.portion.trains(record, firsts[index] + place as u64);
             let side = if trains { &mut found.training } else { &mut found.held_out };
             side.push(Occlusion { ray: record.ray(), mask: record.mask, rejects });

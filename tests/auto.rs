@@ -1,0 +1,202 @@
+//! `--heuristic auto`: what it chooses is what counts least, it is never worse than area alone, and no recording harms it.
+
+mod compare_support;
+
+use compare_support::files::{rays_bytes, records, tree_bytes};
+use compare_support::*;
+use embree_trace::builder::MAX_DEPTH;
+use embree_trace::format::bvh::{Bvh, fingerprint};
+use embree_trace::format::rays::Record;
+use embree_trace::geometry::{Ray, Triangle, Vec3};
+use embree_trace::progress::Progress;
+use embree_trace::recipe::auto::{self, Chosen, Scene};
+use embree_trace::recipe::{Recipe, RecipeError};
+use embree_trace::training::queries::Query;
+use embree_trace::traverse::{All, Counts, Prepared, PreparedRay, Scratch, Traversal};
+use embree_trace::tree::Tree;
+use embree_trace::tree::validate::validate;
+use std::process::{Command, Output};
+use std::time::Duration;
+
+/// Closest-hit queries that end at their hits, a quarter of them judges.
+fn queries(triangles: &[Triangle], rays: &[Ray]) -> Vec<Query> {
+    let tree = random_tree(triangles, 2, 1, &mut Random(2));
+    let prepared = Prepared::new(tree.view(), triangles, &[]);
+    let mut scratch = Scratch::default();
+    let mut query = |(number, &ray): (usize, &Ray)| {
+        let hit = prepared.closest_hit(Traversal::Odf, &PreparedRay::new(&ray), &All, &mut (), &mut scratch);
+        Query {
+            ray,
+            segment: Ray { tfar: hit.map_or(ray.tfar, |hit| hit.t), ..ray },
+            is_occlusion: number % 3 == 0,
+            mask: u32::MAX,
+            rejects: Box::default(),
+            judges: number % 4 == 0,
+        }
+    };
+    rays.iter().enumerate().map(&mut query).collect()
+}
+
+fn choose(triangles: &[Triangle], queries: &[Query], seconds: u64) -> Result<Chosen, RecipeError> {
+    let config = auto::Config { budget: Duration::from_secs(seconds), c_i: 1.0, c_p: 1.0 };
+    auto::choose(Scene { triangles, geometries: &[] }, queries, &config)
+}
+
+/// Box and primitive tests of the judging queries, each.
+fn cost(tree: &Tree, triangles: &[Triangle], queries: &[Query]) -> f64 {
+    let prepared = Prepared::new(tree.view(), triangles, &[]);
+    let (mut counts, mut scratch, mut judges) = (Counts::default(), Scratch::default(), 0);
+    for query in queries.iter().filter(|query| query.judges) {
+        let ray = PreparedRay::new(&query.ray);
+        judges += 1;
+        if query.is_occlusion {
+            prepared.occluder(Traversal::Odf, &ray, &All, &mut counts, &mut scratch);
+        } else {
+            prepared.closest_hit(Traversal::Odf, &ray, &All, &mut counts, &mut scratch);
+        }
+    }
+    (counts.box_tests + counts.primitive_tests) as f64 / f64::from(judges)
+}
+
+/// Rays that cross the scene in one direction only: the case for trees from rays.
+fn beam(count: usize) -> Vec<Ray> {
+    let mut random = Random(7);
+    (0..count)
+        .map(|_| {
+            let (from, to) = (random.vector() * 0.1, random.vector() * 0.1);
+            let direction = to - from + Vec3::X * 3.0;
+            Ray { origin: from - Vec3::X * 2.0, tnear: 0.0, direction, tfar: 10.0 }
+        })
+        .collect()
+}
+
+#[test]
+fn the_cheapest_trial_wins_and_its_cost_is_what_a_traversal_counts() {
+    let triangles = soup(600, 0.3, &mut Random(1));
+    let queries = queries(&triangles, &beam(2000));
+    let chosen = choose(&triangles, &queries, 600).expect("queries");
+    let winner = &chosen.trials[chosen.winner.expect("judged")];
+    let full = chosen.trials.iter().filter(|trial| trial.recipe.stages.len() > 1);
+    assert!(full.clone().count() == 5 && full.clone().all(|trial| trial.cost >= winner.cost));
+    assert!(
+        winner.recipe.heuristic.needs_rays() && winner.cost < 0.95 * chosen.trials[0].cost,
+        "{:?}",
+        chosen.trials
+    );
+    assert_eq!(chosen.queries, queries.len());
+
+    // Followed by hand, the winner costs what was said.
+    let fit: Vec<Ray> = queries.iter().filter(|query| !query.judges).map(|query| query.segment).collect();
+    let recipe: &Recipe = &winner.recipe;
+    let made = recipe.make(&triangles, &fit, &Progress::hidden()).expect("valid");
+    assert!((cost(&made.tree, &triangles, &queries) - winner.cost).abs() < 1e-9);
+    let area = chosen.trials[0].recipe.make(&triangles, &[], &Progress::hidden()).expect("valid");
+    assert!((cost(&area.tree, &triangles, &queries) - chosen.trials[0].cost).abs() < 1e-9);
+    assert!(cost(&chosen.made.tree, &triangles, &queries) < cost(&area.tree, &triangles, &queries));
+    validate(&chosen.made.tree, &triangles, MAX_DEPTH).expect("a valid tree");
+}
+
+#[test]
+fn any_number_of_threads_chooses_the_same() {
+    let triangles = soup(300, 0.3, &mut Random(3));
+    let queries = queries(&triangles, &beam(500));
+    let trees = [1, 2, 3].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        pool.install(|| choose(&triangles, &queries, 600)).expect("queries").made.tree
+    });
+    assert!(trees.iter().all(|tree| *tree == trees[0]));
+}
+
+#[test]
+fn without_time_or_judges_it_is_the_area_tree() {
+    let triangles = soup(300, 0.3, &mut Random(3));
+    let mut queries = queries(&triangles, &beam(200));
+    let chosen = choose(&triangles, &queries, 0).expect("queries");
+    assert!(chosen.trials.is_empty() && !chosen.recipe.heuristic.needs_rays());
+    validate(&chosen.made.tree, &triangles, MAX_DEPTH).expect("a valid tree");
+    queries.iter_mut().for_each(|query| query.judges = false);
+    let chosen = choose(&triangles, &queries, 60).expect("queries");
+    assert!(chosen.trials.is_empty() && !chosen.recipe.heuristic.needs_rays());
+    assert_eq!(choose(&triangles, &[], 60).err(), Some(RecipeError::NoRays("auto")));
+}
+
+struct Files {
+    directory: tempfile::TempDir,
+}
+
+impl Files {
+    fn new(triangles: &[Triangle], records: &[Record], scene: u64) -> Files {
+        let directory = tempfile::tempdir().expect("a temporary directory");
+        let tree = random_tree(triangles, 2, 1, &mut Random(12));
+        std::fs::write(directory.path().join("in.bvh"), tree_bytes(triangles, &tree, None)).expect("written");
+        let rays = rays_bytes(scene, records, &[], 700);
+        std::fs::write(directory.path().join("casts.rays"), rays).expect("written");
+        Files { directory }
+    }
+
+    fn build(&self, line: &str) -> Output {
+        let line = format!("in.bvh out.bvh --rays casts.rays --heuristic auto --budget 60 {line}");
+        Command::new(env!("CARGO_BIN_EXE_bvh-build"))
+            .args(line.split_whitespace())
+            .current_dir(self.directory.path())
+            .output()
+            .expect("runs")
+    }
+}
+
+#[test]
+fn the_command_says_what_it_chose_and_stores_it() {
+    let triangles = soup(400, 0.25, &mut Random(11));
+    let (records, _) = records(&triangles, 3000, 5);
+    let files = Files::new(&triangles, &records, fingerprint(&triangles));
+    let output = files.build("--train 0.5");
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        text.contains("judging queries")
+            && text.contains("chosen")
+            && text.contains("blend 0.95 + rotations"),
+        "{text}"
+    );
+    let bytes = std::fs::read(files.directory.path().join("out.bvh")).expect("written");
+    let bvh = Bvh::parse(&bytes).expect("valid");
+    let meta: serde_json::Value = serde_json::from_str(bvh.meta.expect("META")).expect("JSON");
+    assert!(meta["auto"]["trials"].as_array().is_some_and(|trials| trials.len() == 10), "{meta}");
+    assert_eq!(bvh.order.map(<[u8]>::len), Some(bvh.tree.nodes.len()));
+}
+
+#[test]
+fn recordings_of_no_use_give_a_line_or_the_area_tree() {
+    let triangles = soup(200, 0.25, &mut Random(11));
+    let (good, _) = records(&triangles, 400, 5);
+    let with = |change: fn(&mut Record)| -> Vec<Record> {
+        let mut records = good.clone();
+        records.iter_mut().for_each(change);
+        records
+    };
+    let scene = fingerprint(&triangles);
+    for records in [
+        with(|record| (record.origin, record.tfar) = (Vec3::splat(100.0), 1e-3)),
+        with(|record| (record.origin, record.direction) = (Vec3::splat(0.5), Vec3::X)),
+        with(|record| record.direction = Vec3::ZERO),
+        with(|record| (record.tnear, record.tfar) = (f32::INFINITY, f32::INFINITY)),
+        with(|record| record.tfar = f32::INFINITY),
+    ] {
+        let output = Files::new(&triangles, &records, scene).build("");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    let refused = |files: &Files, line: &str, expected: &str| {
+        let output = files.build(line);
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{error}");
+        assert!(error.contains(expected) && error.lines().count() == 1, "{error}");
+        assert!(!files.directory.path().join("out.bvh").exists());
+    };
+    let files = Files::new(&triangles, &good, scene);
+    refused(&files, "--filter path=4000000000", "no query is left to train with");
+    refused(&files, "--optimize rotations", "leave out --optimize");
+    refused(&files, "--alpha -1", "alpha is -1");
+    refused(&files, "--ci -1", "c_I is -1");
+    refused(&Files::new(&triangles, &[], scene), "", "no query is left to train with");
+    refused(&Files::new(&triangles, &good, scene ^ 1), "", "of scene");
+}
