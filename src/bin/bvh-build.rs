@@ -280,7 +280,13 @@ impl Arguments {
         if self.is_auto() {
             let scene = auto::Scene { triangles: bvh.triangles, geometries: bvh.geometries };
             let budget = self.budget.unwrap_or(BUDGET);
-            let config = auto::Config { budget, c_i: self.ci, c_p: self.cp };
+            let config = auto::Config {
+                budget,
+                c_i: self.ci,
+                c_p: self.cp,
+                // Collapsing makes leaves itself.
+                max_leaf: if self.width.is_some() { 1 } else { auto::MAX_LEAF },
+            };
             let chosen = auto::choose(scene, &training.queries, &config)?;
             let report = chosen.report();
             return Ok((chosen.recipe, chosen.made, Some(report)));
@@ -292,7 +298,7 @@ impl Arguments {
     }
 }
 
-/// What a recording gives: effective segments, the whole queries for auto, occlusion queries for an order.
+/// What a recording gives: effective segments, the queries whole for auto, occlusion queries for an order.
 #[derive(Default)]
 struct Training {
     segments: Vec<Ray>,
@@ -332,8 +338,7 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
 
     let started = Instant::now();
     let (recipe, made, auto) = if arguments.binary {
-        let tree = collapse::binary(before.tree, before.triangles);
-        (asked, Made { tree, optimized: None }, None)
+        (asked, Made { tree: collapse::binary(before.tree, before.triangles), optimized: None }, None)
     } else {
         pool.install(|| arguments.make(&before, &training)).map_err(|error| in_input(&error))?
     };
@@ -343,7 +348,7 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     }
     let seconds = started.elapsed().as_secs_f64();
 
-    let is_cut = matches!(recipe.builder.splits, Splits::Spatial(_));
+    let is_cut = !arguments.binary && matches!(recipe.builder.splits, Splits::Spatial(_));
     let mut meta = if arguments.binary { json!({ "binary": true }) } else { recipe.meta() };
     if let Some(width) = arguments.width {
         meta["width"] = json!(width);

@@ -34,6 +34,8 @@ pub struct Config {
     pub c_i: f64,
     /// Cost of a primitive test.
     pub c_p: f64,
+    /// Most primitives in a leaf.
+    pub max_leaf: usize,
 }
 
 /// Ways to use rays that are tried.
@@ -45,8 +47,8 @@ const HEURISTICS: [Heuristic; 5] = [
     Heuristic::Rdh { floor: 1.0 },
 ];
 
-/// Most primitives in a leaf. A test of a primitive is a test like that of a box, so pairs always pay and more do at times.
-const MAX_LEAF: usize = 8;
+/// Most primitives in a leaf, where nothing else is asked for. A test of a primitive is a test like that of a box, so pairs always pay and more do at times.
+pub const MAX_LEAF: usize = 8;
 
 /// The other exponent that is tried: the best of the paper's powerplant (0.88) to one digit.
 const ALPHA: f64 = 0.9;
@@ -170,8 +172,8 @@ impl Chooser<'_> {
 
     /// The recipe in full.
     fn recipe(&self, heuristic: Heuristic, splits: Splits) -> Recipe {
-        let Config { c_i, c_p, .. } = *self.config;
-        let builder = builder::Config { splits, max_leaf: MAX_LEAF, c_i, c_p, ..Default::default() };
+        let Config { c_i, c_p, max_leaf, .. } = *self.config;
+        let builder = builder::Config { splits, max_leaf, c_i, c_p, ..Default::default() };
         let stages = vec![
             Stage::Rotations(rotations::Config::default()),
             Stage::Reinsertion(reinsertion::Config::default()),
