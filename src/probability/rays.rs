@@ -74,8 +74,8 @@ pub trait Measure: Sync {
     }
 }
 
-/// See [`Measure::most_counted`]. Enough to estimate a share of a half within 0.6%.
-const MOST_COUNTED: usize = 1 << 13;
+/// See [`Measure::most_counted`]. Enough to estimate a share of a half within 0.8%.
+const MOST_COUNTED: usize = 1 << 12;
 
 /// P_R itself, with a floor for boxes without rays.
 #[derive(Clone, Copy, Debug, PartialEq)]
