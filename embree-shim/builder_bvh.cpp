@@ -3,6 +3,7 @@
 #include <cstring>
 #include <memory>
 
+#include "scene.hpp"
 #include "tree.hpp"
 
 namespace shim {
@@ -56,9 +57,9 @@ std::vector<RTCBuildPrimitive> boxes_of(const Scene& scene) {
   boxes.reserve(scene.triangle_count());
   for (const Part& part : scene.parts()) {
     for (std::uint64_t face = 0; face < part.faces; face++) {
-      if (!scene.keeps(part, face)) continue;
+      if (!part.keeps(face)) continue;
       for (std::uint32_t half = 0; half < part.triangles_per_face(); half++) {
-        const Bounds bounds = triangle_bounds(scene, part, face, half);
+        const Bounds bounds = part.bounds(face, half);
         RTCBuildPrimitive box;
         box.lower_x = bounds.lower[0];
         box.lower_y = bounds.lower[1];

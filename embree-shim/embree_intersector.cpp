@@ -1,15 +1,13 @@
 // The Intersector that asks Embree: query -> RTCRayHit -> triangle number and barycentrics as the files have them.
 #include "embree_intersector.hpp"
 
-#include <limits>
 #include <vector>
 
 #include "ray_check.hpp"
+#include "record.hpp"
 
 namespace shim {
 namespace {
-
-constexpr float infinity = std::numeric_limits<float>::infinity();
 
 // Embree's packet types and calls by width.
 template <int width>

@@ -86,6 +86,12 @@ struct Block {
   std::uint32_t corners;
 };
 constexpr std::size_t block_lanes = 4;
+// In the name of a kernel for geometries that move.
+constexpr const char* motion_kernel = "MBIntersector";
+// A block of this type is one instance: a pointer, then u32 geomID, padded.
+constexpr const char* instance_name = "instance";
+constexpr std::size_t instance_bytes = 16;
+constexpr std::size_t instance_geometry = 8;
 constexpr Block blocks[] = {
     {"triangle4", 176, 144, 3}, {"triangle4v", 176, 144, 3}, {"triangle4i", 80, 48, 3},
     {"quad4v", 224, 192, 4},    {"quad4i", 96, 64, 4},

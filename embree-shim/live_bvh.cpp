@@ -31,14 +31,10 @@ Bounds bounds_of(const Accel& accel, int time) noexcept {
   return bounds;
 }
 
-Bounds bounds_of(const RTCBounds& bounds) noexcept {
-  return {{bounds.lower_x, bounds.lower_y, bounds.lower_z}, {bounds.upper_x, bounds.upper_y, bounds.upper_z}};
-}
-
 // One BVH of the scene that has something in it.
 struct Source {
   int width;
-  const Block* block;
+  const Block* block;  // null: of instances
   std::uint64_t root;
   Bounds bounds;
   std::string isa;
@@ -55,7 +51,7 @@ struct Pending {
 
 class Reader {
  public:
-  Reader(const Scene& scene, Memory& memory, std::uint32_t version, Image image)
+  Reader(const Attached& scene, Memory& memory, std::uint32_t version, Image image)
       : scene_(scene), memory_(memory), version_(version), image_(std::move(image)) {}
 
   Tree read_tree() {
@@ -86,13 +82,10 @@ class Reader {
 
   // Checks the scene object, and returns the wrappers in its list.
   std::vector<std::uint64_t> read_scene() {
-    const auto address = reinterpret_cast<std::uintptr_t>(scene_.get());
+    const auto address = reinterpret_cast<std::uintptr_t>(scene_.scene);
     const Accel accel = read<Accel>(memory_, Object::scene, address);
     check_vtable(accel, "the scene");
-    RTCLinearBounds linear;
-    rtcGetSceneLinearBounds(scene_.get(), &linear);
-    scene_bounds_ = bounds_of(linear.bounds0);
-    if (!(bounds_of(accel, 0) == scene_bounds_) || !(bounds_of(accel, 1) == bounds_of(linear.bounds1))) {
+    if (!(bounds_of(accel, 0) == scene_.bounds[0]) || !(bounds_of(accel, 1) == scene_.bounds[1])) {
       throw Doubt("the scene's bounds differ from those of rtcGetSceneLinearBounds");
     }
     const auto list = read<layout::Vector>(memory_, Object::scene, address + layout::scene_accels);
@@ -118,20 +111,29 @@ class Reader {
     if (bvh.accel.type != layout::type_bvh4 && bvh.accel.type != layout::type_bvh8) {
       throw Doubt("a BVH has the unknown type " + std::to_string(bvh.accel.type));
     }
-    if (bvh.device != reinterpret_cast<std::uintptr_t>(scene_.device().get())) {
+    if (bvh.device != reinterpret_cast<std::uintptr_t>(scene_.device)) {
       throw Doubt("a BVH does not point back to its device");
     }
-    if (bvh.scene != reinterpret_cast<std::uintptr_t>(scene_.get())) {
+    if (bvh.scene != reinterpret_cast<std::uintptr_t>(scene_.scene)) {
       throw Doubt("a BVH does not point back to its scene");
     }
+    if (bvh.root == layout::nothing) return;
     Source source;
-    source.width = bvh.accel.type == layout::type_bvh8 ? 8 : 4;
-    source.block = find_block(bvh.primitive_type);
-    source.root = bvh.root;
-    if (source.root == layout::nothing) return;
-    source.isa = isa_of(read_name(wrapper.name), source.width);
     source.bounds = bounds_of(bvh.accel, 0);
     if (!source.bounds.is_proper()) throw Doubt("a BVH's bounds are inverted");
+    all_bounds_.extend(source.bounds);
+    const std::string primitive = read_primitive_name(bvh.primitive_type);
+    const std::string kernel = read_name(wrapper.name);
+    source.block = find_block(primitive);
+    const bool moving = kernel.find(layout::motion_kernel) != std::string::npos;
+    if (moving || (source.block == nullptr && primitive != layout::instance_name)) {
+      if (!scene_.others) throw Doubt("the primitive type is unknown: " + printable(moving ? kernel : primitive));
+      // Of geometries that are left out.
+      return;
+    }
+    source.width = bvh.accel.type == layout::type_bvh8 ? 8 : 4;
+    source.root = bvh.root;
+    source.isa = isa_of(kernel, source.width);
     sources_.push_back(source);
   }
 
@@ -143,9 +145,10 @@ class Reader {
 
   // The scene's box is that of its BVHs.
   void check_bounds() const {
-    Bounds all = Bounds::empty();
-    for (const Source& source : sources_) all.extend(source.bounds);
-    if (!sources_.empty() && !(all == scene_bounds_)) throw Doubt("the BVHs' bounds differ from the scene's");
+    const Bounds& whole = scene_.bounds[0];
+    // Geometries that are left out may move.
+    const bool holds = scene_.others ? whole.contains(all_bounds_) || !whole.is_proper() : all_bounds_ == whole;
+    if (!sources_.empty() && !holds) throw Doubt("the BVHs' bounds differ from the scene's");
   }
 
   // A name inside libembree3's image.
@@ -161,9 +164,9 @@ class Reader {
     throw Doubt("a name in libembree3 does not end");
   }
 
-  // The block layout of a primitive type: the first slot of its vtable is a function that returns the name. It is not called,
-  // but read: `lea rax, [rip + distance]; ret`.
-  const Block* find_block(std::uint64_t primitive_type) {
+  // The name of a primitive type: the first slot of its vtable is a function that returns it. It is not called, but read:
+  // `lea rax, [rip + distance]; ret`.
+  std::string read_primitive_name(std::uint64_t primitive_type) {
     const auto vtable = read<std::uint64_t>(memory_, Object::vtable, primitive_type);
     if (!covers(image_.segments, vtable, 8)) throw Doubt("the vtable of a primitive type is not in libembree3");
     const auto function = read<std::uint64_t>(memory_, Object::vtable, vtable);
@@ -179,11 +182,14 @@ class Reader {
     }
     std::int32_t distance;
     std::memcpy(&distance, code.bytes + 3, sizeof distance);
-    const std::string name = read_name(function + 7 + static_cast<std::uint64_t>(std::int64_t{distance}));
+    return read_name(function + 7 + static_cast<std::uint64_t>(std::int64_t{distance}));
+  }
+
+  static const Block* find_block(const std::string& name) {
     for (const Block& block : layout::blocks) {
       if (name == block.name) return &block;
     }
-    throw Doubt("the primitive type is unknown: " + printable(name));
+    return nullptr;
   }
 
   static std::string printable(std::string text) {
@@ -206,18 +212,23 @@ class Reader {
 
   // How many faces the tree must hold.
   void count_expected() {
-    for (const Part& part : scene_.parts()) {
-      for (std::uint64_t face = 0; face < part.faces; face++) expected_ += scene_.keeps(part, face) ? 1 : 0;
+    for (const Part& part : scene_.parts) {
+      for (std::uint64_t face = 0; face < part.faces; face++) expected_ += part.keeps(face) ? 1 : 0;
     }
     // Spatial splits replicate at most a fifth of the primitives; anything near the limit is not a tree.
-    most_references_ = scene_.quality() == RTC_BUILD_QUALITY_HIGH ? 4 * expected_ + 64 : expected_;
-    seen_.resize(scene_.triangle_count());
+    most_references_ = scene_.spatial_splits ? 4 * expected_ + 64 : expected_;
+    for (const Part& part : scene_.parts) most_nodes_ += part.instance ? 2 : 0;
+    most_nodes_ += 2 * most_references_ + 2 * layout::max_depth;
+    seen_.resize(scene_.triangle_count);
+    seen_instances_.resize(scene_.parts.size());
   }
 
   // The root of what there is: of the one BVH, of several under one added node, or of nothing.
   void plant() {
     tree_.nodes.resize(1);
-    tree_.set_bounds(0, sources_.empty() ? Bounds::empty() : scene_bounds_);
+    Bounds bounds = Bounds::empty();
+    for (const Source& source : sources_) bounds.extend(source.bounds);
+    tree_.set_bounds(0, bounds);
     if (sources_.empty()) {
       tree_.make_leaf(0);
     } else if (sources_.size() == 1) {
@@ -305,7 +316,7 @@ class Reader {
     }
     if (count == 0) throw Doubt("an inner node has no children");
     // Each node leads to a leaf with at least one primitive: more nodes than this only a wrong path can find.
-    if (tree_.nodes.size() + count > 2 * most_references_ + 2 * layout::max_depth) {
+    if (tree_.nodes.size() + count > most_nodes_) {
       throw Doubt("a BVH has more nodes than its primitives need");
     }
     const std::uint32_t first = tree_.make_inner(at.node, count);
@@ -316,10 +327,19 @@ class Reader {
   }
 
   void read_leaf(std::uint64_t address, std::uint64_t count, const Pending& at) {
-    const Block& block = *sources_[at.source].block;
     unsigned char bytes[layout::max_leaf_bytes];
-    memory_.read(Object::leaf, address, bytes, count * block.bytes);
     tree_.make_leaf(at.node);
+    if (sources_[at.source].block == nullptr) {
+      memory_.read(Object::leaf, address, bytes, count * layout::instance_bytes);
+      for (std::uint64_t index = 0; index < count; index++) {
+        std::uint32_t geometry;
+        std::memcpy(&geometry, bytes + index * layout::instance_bytes + layout::instance_geometry, sizeof geometry);
+        add_instance(geometry, at.node);
+      }
+      return;
+    }
+    const Block& block = *sources_[at.source].block;
+    memory_.read(Object::leaf, address, bytes, count * block.bytes);
     for (std::uint64_t index = 0; index < count; index++) {
       std::uint32_t numbers[2][layout::block_lanes];
       std::memcpy(numbers, bytes + index * block.bytes + block.geometry, sizeof numbers);
@@ -333,15 +353,15 @@ class Reader {
   // Adds a face of a leaf: one triangle, or the two of a quad. The leaf's box contains them; where spatial splits have
   // clipped it, they overlap.
   void add_face(const Block& block, std::uint32_t geometry, std::uint32_t face, std::uint32_t node) {
-    if (geometry >= scene_.parts().size()) throw Doubt("a leaf names a geometry that does not exist");
-    const Part& part = scene_.parts()[geometry];
+    if (geometry >= scene_.parts.size()) throw Doubt("a leaf names a geometry that does not exist");
+    const Part& part = scene_.parts[geometry];
     if (part.corners != block.corners) throw Doubt("a leaf names a geometry of another kind");
     if (face >= part.faces) throw Doubt("a leaf names a primitive that does not exist");
-    if (!scene_.keeps(part, face)) throw Doubt("a leaf names a primitive that Embree cannot have kept");
+    if (!part.keeps(face)) throw Doubt("a leaf names a primitive that Embree cannot have kept");
     if (++references_ > most_references_) throw Doubt("the leaves name more primitives than were attached");
     const std::uint32_t triangle = part.first_triangle + part.triangles_per_face() * face;
     if (seen_[triangle]) {
-      if (scene_.quality() != RTC_BUILD_QUALITY_HIGH) throw Doubt("a primitive stands in two leaves without spatial splits");
+      if (!scene_.spatial_splits) throw Doubt("a primitive stands in two leaves without spatial splits");
       tree_.splits = true;
     } else {
       seen_[triangle] = true;
@@ -351,9 +371,9 @@ class Reader {
     const Bounds box = tree_.bounds(node);
     std::uint32_t added = 0;
     for (std::uint32_t half = 0; half < part.triangles_per_face(); half++) {
-      const Bounds bounds = triangle_bounds(scene_, part, face, half);
+      const Bounds bounds = part.bounds(face, half);
       if (!box.contains(bounds)) {
-        if (scene_.quality() != RTC_BUILD_QUALITY_HIGH) throw Doubt("a leaf's box does not contain its primitives");
+        if (!scene_.spatial_splits) throw Doubt("a leaf's box does not contain its primitives");
         tree_.splits = true;
         if (!box.overlaps(bounds)) continue;
       }
@@ -361,6 +381,15 @@ class Reader {
       added++;
     }
     if (added == 0) throw Doubt("a leaf's box is away from its primitives");
+  }
+
+  void add_instance(std::uint32_t geometry, std::uint32_t node) {
+    if (geometry >= scene_.parts.size() || !scene_.parts[geometry].instance) {
+      throw Doubt("a leaf names an instance that does not exist");
+    }
+    if (seen_instances_[geometry]) throw Doubt("an instance stands in two leaves");
+    seen_instances_[geometry] = true;
+    tree_.add_primitive(node, instance_bit | geometry);
   }
 
   void check_primitives() const {
@@ -381,7 +410,7 @@ class Reader {
       } else {
         tree_.producer += structure == open ? "," : ">," + structure + "<";
       }
-      tree_.producer += source.block->name;
+      tree_.producer += source.block == nullptr ? layout::instance_name : source.block->name;
       open = structure;
     }
     if (!open.empty()) tree_.producer += ">";
@@ -390,16 +419,18 @@ class Reader {
     if (tree_.producer.size() > room) tree_.producer.resize(room);
   }
 
-  const Scene& scene_;
+  const Attached& scene_;
   Memory& memory_;
   std::uint32_t version_;
   Image image_;
-  Bounds scene_bounds_ = Bounds::empty();
+  Bounds all_bounds_ = Bounds::empty();  // of all BVHs, also of those that are left out
   std::vector<Source> sources_;
   std::vector<Pending> pending_;
   std::vector<bool> seen_;  // by a face's first triangle
+  std::vector<bool> seen_instances_;
   std::uint64_t expected_ = 0;
   std::uint64_t most_references_ = 0;
+  std::uint64_t most_nodes_ = 0;
   std::uint64_t references_ = 0;
   std::uint64_t distinct_ = 0;
   Tree tree_;
@@ -407,9 +438,8 @@ class Reader {
 
 }  // namespace
 
-Tree read_live_tree(const Scene& scene, const ShimFault* fault) {
-  auto version =
-      static_cast<std::uint32_t>(rtcGetDeviceProperty(scene.device().get(), RTC_DEVICE_PROPERTY_VERSION));
+Tree read_live_tree(const Attached& scene, const ShimFault* fault) {
+  std::uint32_t version = scene.version;
   Image image = find_image();
   ProcessMemory memory;
   if (fault == nullptr) return Reader(scene, memory, version, std::move(image)).read_tree();

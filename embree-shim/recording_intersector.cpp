@@ -5,21 +5,14 @@
 #include "recording_intersector.hpp"
 
 #include <cstring>
-#include <limits>
 #include <utility>
+
+#include "record.hpp"
 
 namespace shim {
 namespace {
 
-constexpr float infinity = std::numeric_limits<float>::infinity();
-constexpr std::uint32_t no_triangle = 0xFFFFFFFFu;
-constexpr std::uint8_t kind_closest_hit = 0;
-constexpr std::uint8_t kind_occlusion = 1;
-constexpr std::uint8_t flag_hit = 1;
-constexpr std::uint8_t flag_coherent = 2;
-
-static_assert(sizeof(ShimRecord) == 64 && sizeof(ShimQuery) == 48 && sizeof(ShimHit) == 32);
-static_assert(offsetof(ShimRecord, t) == 40 && offsetof(ShimRecord, path) == 56 && offsetof(ShimRecord, purpose) == 63);
+static_assert(sizeof(ShimQuery) == 48 && sizeof(ShimHit) == 32);
 
 class RecordingIntersector final : public Intersector {
  public:

@@ -1,13 +1,8 @@
 // Device and scene of Embree: copies the arrays into buffers that Embree owns, attaches every part, commits.
 #include "scene.hpp"
 
-#include <algorithm>
-#include <cmath>
 #include <cstring>
-#include <limits>
 #include <memory>
-
-#include "ray_check.hpp"
 
 namespace shim {
 namespace {
@@ -31,6 +26,10 @@ RTCBuildQuality quality_of(std::uint32_t quality) noexcept {
     case SHIM_QUALITY_HIGH: return RTC_BUILD_QUALITY_HIGH;
     default: return RTC_BUILD_QUALITY_MEDIUM;
   }
+}
+
+Bounds bounds_of(const RTCBounds& bounds) noexcept {
+  return {{bounds.lower_x, bounds.lower_y, bounds.lower_z}, {bounds.upper_x, bounds.upper_y, bounds.upper_z}};
 }
 
 // Releases Embree's buffers and geometries when their scope ends; the scene holds references of its own.
@@ -90,14 +89,12 @@ Scene::Scene(const ShimSettings& settings, const float* vertices, std::uint64_t 
   char* data = static_cast<char*>(rtcGetBufferData(buffer.get()));
   if (bytes != 0) std::memcpy(data, vertices, bytes);
   std::memset(data + bytes, 0, padding);
-  vertices_ = reinterpret_cast<const float*>(data);
 
-  parts_.reserve(part_count);
+  attached_.parts.reserve(part_count);
   for (std::uint32_t id = 0; id < part_count; id++) attach(id, parts[id], buffer.get(), vertex_count);
   rtcCommitScene(scene_);
   device_.check("cannot commit the scene");
-  // Without a geometry nothing holds the buffer, and nothing reads it either.
-  if (triangle_count_ == 0) vertices_ = nullptr;
+  describe();
   scene.release();
 }
 
@@ -109,7 +106,8 @@ void Scene::attach(std::uint32_t id, const ShimPart& part, RTCBuffer vertices, s
   here.faces = part.faces;
   here.corners = quads ? 4 : 3;
   here.mask = part.mask;
-  here.first_triangle = static_cast<std::uint32_t>(triangle_count_);
+  here.first_triangle = static_cast<std::uint32_t>(triangle_count());
+  here.vertex_count = vertex_count;
   if (part.faces != 0) {
     std::unique_ptr<RTCGeometryTy, Release> geometry(
         rtcNewGeometry(device_.get(), quads ? RTC_GEOMETRY_TYPE_QUAD : RTC_GEOMETRY_TYPE_TRIANGLE));
@@ -123,48 +121,38 @@ void Scene::attach(std::uint32_t id, const ShimPart& part, RTCBuffer vertices, s
                                             face_bytes, part.faces);
     device_.check("cannot allocate the faces of a geometry");
     std::memcpy(indices, part.indices, face_bytes * part.faces);
-    here.indices = static_cast<const std::uint32_t*>(indices);
+    // Both buffers are Embree's, which the geometry keeps alive.
+    here.vertices = static_cast<const unsigned char*>(rtcGetBufferData(vertices));
+    here.indices = static_cast<const unsigned char*>(indices);
+    here.index_stride = face_bytes;
     rtcSetGeometryMask(handle, part.mask);
     rtcSetGeometryBuildQuality(handle, quality_);
     rtcCommitGeometry(handle);
     rtcAttachGeometryByID(scene_, handle, id);
     device_.check("cannot attach a geometry");
   }
-  triangle_count_ += part.faces * here.triangles_per_face();
-  parts_.push_back(here);
+  attached_.triangle_count += part.faces * here.triangles_per_face();
+  attached_.parts.push_back(here);
 }
 
-bool Scene::keeps(const Part& part, std::uint64_t face) const noexcept {
-  for (std::uint32_t corner = 0; corner < part.corners; corner++) {
-    const float* position = vertex(part.indices[face * part.corners + corner]);
-    for (int axis = 0; axis < 3; axis++) {
-      if (!(std::fabs(position[axis]) < embree_large)) return false;
-    }
-  }
-  return true;
+// What Embree says of the committed scene, for those who read its tree.
+void Scene::describe() {
+  attached_.device = device_.get();
+  attached_.scene = scene_;
+  attached_.version = static_cast<std::uint32_t>(rtcGetDeviceProperty(device_.get(), RTC_DEVICE_PROPERTY_VERSION));
+  RTCLinearBounds linear;
+  rtcGetSceneLinearBounds(scene_, &linear);
+  attached_.bounds[0] = bounds_of(linear.bounds0);
+  attached_.bounds[1] = bounds_of(linear.bounds1);
+  attached_.spatial_splits = quality_ == RTC_BUILD_QUALITY_HIGH;
 }
 
 std::uint64_t Scene::triangles(float* triangles) const noexcept {
   std::uint64_t replaced = 0;
   float* out = triangles;
-  for (const Part& part : parts_) {
-    for (std::uint64_t face = 0; face < part.faces; face++) {
-      const bool kept = keeps(part, face);
-      for (std::uint32_t half = 0; half < part.triangles_per_face(); half++, out += 9) {
-        const auto chosen = part.corners_of(half);
-        bool finite = true;
-        for (int corner = 0; corner < 3; corner++) {
-          const float* position = vertex(part.indices[face * part.corners + chosen[corner]]);
-          for (int axis = 0; axis < 3; axis++) {
-            out[3 * corner + axis] = position[axis];
-            finite = finite && std::isfinite(position[axis]);
-          }
-        }
-        if (finite && !kept) {
-          std::fill(out, out + 9, std::numeric_limits<float>::quiet_NaN());
-          replaced++;
-        }
-      }
+  for (const Part& part : parts()) {
+    for (std::uint64_t face = 0; face < part.faces; face++, out += 9 * part.triangles_per_face()) {
+      replaced += part.triangles(face, out);
     }
   }
   return replaced;

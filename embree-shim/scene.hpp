@@ -1,14 +1,14 @@
-// Device and scene of Embree, owned; and the numbering of triangles that every other part of the shim shares.
+// Device and scene of Embree, owned.
 #pragma once
 
 #include <embree3/rtcore.h>
 
-#include <array>
 #include <cstdint>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
+#include "faces.hpp"
 #include "shim.h"
 
 namespace shim {
@@ -42,22 +42,6 @@ class Device {
   mutable std::string message_;
 };
 
-// Where the faces of one geometry are, in Embree's memory and in TRIS.
-struct Part {
-  const std::uint32_t* indices = nullptr;  // null when there is no face
-  std::uint64_t faces = 0;
-  std::uint32_t corners = 3;
-  std::uint32_t mask = 0;
-  std::uint32_t first_triangle = 0;
-
-  std::uint32_t triangles_per_face() const noexcept { return corners - 2; }
-  // Which corners make the face's only, first or second triangle: (v0, v1, v2), or (v0, v1, v3) and (v2, v3, v1).
-  std::array<std::uint32_t, 3> corners_of(std::uint32_t half) const noexcept {
-    if (corners == 3) return {0, 1, 2};
-    return half == 0 ? std::array<std::uint32_t, 3>{0, 1, 3} : std::array<std::uint32_t, 3>{2, 3, 1};
-  }
-};
-
 // A committed scene. Part i is attached as geomID i; parts without faces are numbered but not attached.
 class Scene {
  public:
@@ -71,25 +55,21 @@ class Scene {
   const Device& device() const noexcept { return device_; }
   RTCBuildQuality quality() const noexcept { return quality_; }
   std::uint32_t flags() const noexcept { return flags_; }
-  const std::vector<Part>& parts() const noexcept { return parts_; }
-  std::uint64_t triangle_count() const noexcept { return triangle_count_; }
-  // x, y and z of a vertex.
-  const float* vertex(std::uint32_t index) const noexcept { return vertices_ + std::size_t{3} * index; }
-  // Whether Embree keeps the face: it drops one with a vertex that is NaN or too large.
-  bool keeps(const Part& part, std::uint64_t face) const noexcept;
+  const std::vector<Part>& parts() const noexcept { return attached_.parts; }
+  std::uint64_t triangle_count() const noexcept { return attached_.triangle_count; }
+  const Attached& attached() const noexcept { return attached_; }
   // Writes the elements of TRIS: 9 floats each. See shim_scene_triangles for what is replaced and returned.
   std::uint64_t triangles(float* triangles) const noexcept;
 
  private:
   void attach(std::uint32_t id, const ShimPart& part, RTCBuffer vertices, std::uint64_t vertex_count);
+  void describe();
 
   Device device_;
   RTCScene scene_ = nullptr;
   RTCBuildQuality quality_ = RTC_BUILD_QUALITY_MEDIUM;
   std::uint32_t flags_ = 0;
-  const float* vertices_ = nullptr;  // Embree's buffer, which the geometries share and keep alive
-  std::vector<Part> parts_;
-  std::uint64_t triangle_count_ = 0;
+  Attached attached_;
 };
 
 }  // namespace shim

@@ -75,7 +75,7 @@ uint64_t shim_scene_triangles(const ShimScene* scene, float* triangles) { return
 
 ShimTree* shim_tree_live(const ShimScene* scene, const ShimFault* fault, ShimError* error) {
   return shim::guarded(error, static_cast<ShimTree*>(nullptr),
-                       [&] { return hand_over(shim::read_live_tree(scene->scene, fault)); });
+                       [&] { return hand_over(shim::read_live_tree(scene->scene.attached(), fault)); });
 }
 
 ShimTree* shim_tree_built(const ShimScene* scene, ShimError* error) {

@@ -5,30 +5,18 @@
 #include <string>
 #include <vector>
 
+#include "faces.hpp"
 #include "memory.hpp"
-#include "scene.hpp"
 #include "shim.h"
 
 namespace shim {
 
+class Scene;
+
 constexpr std::uint32_t leaf_bit = 0x80000000u;
 
-struct Bounds {
-  float lower[3];
-  float upper[3];
-
-  // The identity of `extend`; also the box of an empty tree.
-  static Bounds empty() noexcept;
-  void extend(const Bounds& other) noexcept;
-  bool contains(const Bounds& other) const noexcept;
-  bool overlaps(const Bounds& other) const noexcept;
-  // Whether lower <= upper on every axis, and none is NaN.
-  bool is_proper() const noexcept;
-  bool operator==(const Bounds& other) const noexcept;
-};
-
-// The box of one of a face's triangles.
-Bounds triangle_bounds(const Scene& scene, const Part& part, std::uint64_t face, std::uint32_t half) noexcept;
+// An entry of Tree::primitives that stands for an instance: this bit, and the geomID of the instance.
+constexpr std::uint32_t instance_bit = 0x80000000u;
 
 // Nodes and primitives in the order of NODE and PRIM: children adjacent, behind their parent, depth first.
 struct Tree {
@@ -47,7 +35,7 @@ struct Tree {
 
 // Reads the tree that Embree traverses from its memory; throws Doubt at the first check that fails. A fault, for tests,
 // falsifies what is read.
-Tree read_live_tree(const Scene& scene, const ShimFault* fault);
+Tree read_live_tree(const Attached& scene, const ShimFault* fault);
 
 // Builds a binary tree with one triangle a leaf with rtcBuildBVH.
 Tree build_tree(const Scene& scene);

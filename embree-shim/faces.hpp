@@ -1,0 +1,82 @@
+// What a committed scene has attached: the numbering of triangles that every other part of the shim shares, and where
+// Embree finds their vertices. Nothing in here calls Embree.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <cstring>
+#include <vector>
+
+namespace shim {
+
+struct Bounds {
+  float lower[3];
+  float upper[3];
+
+  // The identity of `extend`; also the box of an empty tree.
+  static Bounds empty() noexcept;
+  void extend(const Bounds& other) noexcept;
+  bool contains(const Bounds& other) const noexcept;
+  bool overlaps(const Bounds& other) const noexcept;
+  // Whether lower <= upper on every axis, and none is NaN.
+  bool is_proper() const noexcept;
+  bool operator==(const Bounds& other) const noexcept;
+};
+
+// Where one geometry's faces are: in the arrays that Embree reads, and in TRIS. Without faces and no instance, nothing is
+// attached under its number, or nothing that has triangles.
+struct Part {
+  const unsigned char* vertices = nullptr;
+  std::size_t vertex_stride = 3 * sizeof(float);
+  std::uint64_t vertex_count = 0;
+  const unsigned char* indices = nullptr;  // null when there is no face
+  std::size_t index_stride = 0;
+  std::uint64_t faces = 0;
+  std::uint32_t corners = 3;
+  std::uint32_t mask = 0;
+  std::uint32_t first_triangle = 0;
+  bool instance = false;  // of a scene of its own, whose triangles are numbered from first_triangle
+
+  std::uint32_t triangles_per_face() const noexcept { return corners - 2; }
+
+  // Which corners make the face's only, first or second triangle: (v0, v1, v2), or (v0, v1, v3) and (v2, v3, v1).
+  std::array<std::uint32_t, 3> corners_of(std::uint32_t half) const noexcept {
+    if (corners == 3) return {0, 1, 2};
+    return half == 0 ? std::array<std::uint32_t, 3>{0, 1, 3} : std::array<std::uint32_t, 3>{2, 3, 1};
+  }
+
+  std::uint32_t index(std::uint64_t face, std::uint32_t corner) const noexcept {
+    std::uint32_t index;
+    std::memcpy(&index, indices + face * index_stride + corner * sizeof index, sizeof index);
+    return index;
+  }
+
+  // x, y and z.
+  std::array<float, 3> vertex(std::uint64_t face, std::uint32_t corner) const noexcept {
+    std::array<float, 3> position;
+    std::memcpy(position.data(), vertices + std::size_t{index(face, corner)} * vertex_stride, sizeof position);
+    return position;
+  }
+
+  // Whether Embree keeps the face: it drops one with a vertex that is missing, NaN or too large.
+  bool keeps(std::uint64_t face) const noexcept;
+  // The box of one of a face's triangles.
+  Bounds bounds(std::uint64_t face, std::uint32_t half) const noexcept;
+  // Writes the face's triangles, 9 floats each. What Embree drops gets NaN in all nine when it would be finite otherwise;
+  // returns how many finite triangles were replaced so.
+  std::uint32_t triangles(std::uint64_t face, float* triangles) const noexcept;
+};
+
+// A committed scene, as those see it who read its tree.
+struct Attached {
+  const void* device = nullptr;
+  const void* scene = nullptr;
+  std::uint32_t version = 0;     // RTC_DEVICE_PROPERTY_VERSION
+  Bounds bounds[2];              // rtcGetSceneLinearBounds
+  bool spatial_splits = false;   // whether its quality lets Embree split triangles
+  bool others = false;           // whether there are geometries that are neither triangles, quads nor instances
+  std::vector<Part> parts;       // by geomID
+  std::uint64_t triangle_count = 0;  // elements of TRIS
+};
+
+}  // namespace shim
