@@ -1,4 +1,5 @@
-//! Builds the shim (`embree-shim/`, C++) and its Rust declarations; nothing without the feature `embree`.
+//! Builds the shim and the preload library (`embree-shim/`, C++), and their Rust declarations; nothing without the feature
+//! `embree`.
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
@@ -17,8 +18,12 @@ mod embree {
     const INSTALL: &str =
         "install it with `sudo apt-get install libembree-dev libclang-dev g++`, or run `./tools/setup`";
     const DIRECTORY: &str = "embree-shim";
+    /// What the names of the preload library's own sources start with.
+    const PRELOAD: &str = "preload";
+    /// Sources of the shim that the preload library needs, too; none of them calls Embree.
+    const SHARED: [&str; 4] = ["faces.cpp", "live_bvh.cpp", "memory.cpp", "tree.cpp"];
 
-    /// Checks that the packages are there, compiles the shim, binds its C ABI.
+    /// Checks that the packages are there, compiles the shim and the preload library, binds their C ABI.
     pub fn build() -> Result<(), String> {
         println!("cargo::rerun-if-changed={DIRECTORY}");
         let sources = sources()?;
@@ -28,15 +33,42 @@ mod embree {
         shim.cpp(true)
             .std("c++17")
             .opt_level(2)
+            .pic(true)
             .warnings(true)
             .extra_warnings(true)
             .warnings_into_errors(true);
-        shim.files(&sources);
         check_packages(&shim, &out)?;
+        link_preload(&shim, &sources, &out)?;
+        shim.files(sources.iter().filter(|source| !is_preload(source)));
         shim.try_compile("embree_trace_shim")
             .map_err(|error| format!("cannot compile {DIRECTORY}: {error}"))?;
         println!("cargo::rustc-link-lib=embree3");
         bind(&out)
+    }
+
+    fn is_preload(source: &Path) -> bool {
+        source.file_name().is_some_and(|name| name.to_string_lossy().starts_with(PRELOAD))
+    }
+
+    /// Links the preload library, which goes into the binary. It is loaded into programs that know nothing of it: it brings
+    /// its own C++ library, shows nothing but Embree's names, and needs none of them.
+    fn link_preload(shim: &cc::Build, sources: &[PathBuf], out: &Path) -> Result<(), String> {
+        let shared = SHARED.map(|name| Path::new(DIRECTORY).join(name));
+        let output = shim
+            .get_compiler()
+            .to_command()
+            .args(["-fvisibility=hidden", "-shared", "-static-libstdc++", "-static-libgcc"])
+            .arg(format!("-Wl,--version-script={DIRECTORY}/preload.map"))
+            .args(["-Wl,-Bsymbolic", "-Wl,--no-undefined", "-o"])
+            .arg(out.join("preload.so"))
+            .args(sources.iter().filter(|source| is_preload(source)).chain(&shared))
+            .output()
+            .map_err(|error| format!("cannot run the C++ compiler: {error}: {INSTALL}"))?;
+        if !output.status.success() {
+            let said = String::from_utf8_lossy(&output.stderr).trim().replace('\n', " | ");
+            return Err(format!("cannot link the preload library: {said}"));
+        }
+        Ok(())
     }
 
     /// The C++ files, in a fixed order.
@@ -76,16 +108,16 @@ mod embree {
         Ok(())
     }
 
-    /// Rust declarations of `shim.h`.
+    /// Rust declarations of `shim.h` and `exchange.h`, which includes it.
     fn bind(out: &Path) -> Result<(), String> {
-        let header = format!("{DIRECTORY}/shim.h");
+        let header = format!("{DIRECTORY}/exchange.h");
         // bindgen panics when it finds no libclang.
         let quiet = std::panic::take_hook();
         std::panic::set_hook(Box::new(|_| {}));
         let bindings = std::panic::catch_unwind(|| {
             bindgen::Builder::default()
                 .header(header)
-                .allowlist_item("[Ss][Hh][Ii][Mm].*")
+                .allowlist_item("([Ss][Hh][Ii][Mm]|Exchange|EXCHANGE).*")
                 .prepend_enum_name(false)
                 .rust_edition(bindgen::RustEdition::Edition2024)
                 .formatter(bindgen::Formatter::None)
@@ -94,9 +126,9 @@ mod embree {
         std::panic::set_hook(quiet);
         let bindings = bindings
             .map_err(|_| {
-                format!("libclang (package libclang-dev), which reads shim.h, is missing: {INSTALL}")
+                format!("libclang (package libclang-dev), which reads exchange.h, is missing: {INSTALL}")
             })?
-            .map_err(|error| format!("cannot bind {DIRECTORY}/shim.h: {error}"))?;
+            .map_err(|error| format!("cannot bind {DIRECTORY}/exchange.h: {error}"))?;
         bindings
             .write_to_file(out.join("shim.rs"))
             .map_err(|error| format!("cannot write the bindings in {}: {error}", out.display()))

@@ -6,7 +6,7 @@
 //!
 //! [`Record`]: crate::format::rays::Record
 
-mod ffi;
+pub(crate) mod ffi;
 mod intersector;
 mod settings;
 #[doc(hidden)]

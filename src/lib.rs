@@ -7,7 +7,7 @@
 //! | shapes | [`geometry`], [`tree`] | boxes, rays, triangles; nodes as they stand in a file |
 //! | scenes | [`mesh`] | triangles from OBJ, PLY and generators |
 //! | Embree | `embree` (feature) | queries through the shim, and Embree's own trees |
-//! | queries | `render`, `record` (feature) | a renderer that asks, and the one writer of what was asked |
+//! | queries | `render`, `record` (feature) | a renderer that asks, or somebody else's (`record::program`), and the writer of what was asked |
 //! | formats | [`mod@format`], [`files`] | `.rays` and `.bvh`, each read and written in one place |
 //! | looking | [`inspect`], [`diff`] | what is in a file, and how two differ |
 //! | building | [`builder`], [`probability`], [`optimize`], [`training`], [`recipe`] | trees from triangles, and from rays how likely a box is hit |

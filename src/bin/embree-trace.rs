@@ -1,4 +1,7 @@
-//! `embree-trace`: renders a scene with Embree and records every ray query with its result.
+//! `embree-trace`: renders a scene with Embree, or runs a program that does, and records every ray query with its result.
+
+#[path = "embree-trace/record.rs"]
+mod record;
 
 use clap::{Parser, ValueEnum};
 use embree_trace::cli::{self, Failure, Outcome, TextOrJson};
@@ -17,6 +20,7 @@ use embree_trace::render::summary::{RaysLine, Summary, TreeLine, camera_option, 
 use embree_trace::render::tiles::Tiles;
 use embree_trace::render::workers::{Rendered, render};
 use embree_trace::render::{Integrator, Job};
+use std::ffi::OsString;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -34,6 +38,9 @@ Examples:
   Only a picture, or nothing but the time it takes:
     embree-trace bunny.ply --integrator ao --spp 16 --output bunny.png
     embree-trace bunny.ply --integrator ao --spp 16
+
+  Record a program that uses Embree (see embree-trace record --help):
+    embree-trace record --savetrace casts.rays built.bvh -- blender -b scene.blend -f 1
 
 Exit codes: 0 good, 2 bad input or usage.";
 
@@ -138,8 +145,15 @@ fn quality(name: &str) -> Result<Quality, String> {
 
 fn main() -> ExitCode {
     // The paper's spelling of the option has one dash.
-    let arguments = std::env::args_os().map(|a| if a == "-savetrace" { "--savetrace".into() } else { a });
-    let arguments = Arguments::parse_from(arguments);
+    let spelled = |a| if a == "-savetrace" { "--savetrace".into() } else { a };
+    let mut arguments: Vec<OsString> = std::env::args_os().collect();
+    match arguments.get(1).and_then(|word| word.to_str()) {
+        // Everything behind `--` is the program's, so nothing is respelled.
+        Some("record") => return record::main(arguments),
+        Some("render") => drop(arguments.remove(1)),
+        _ => {}
+    }
+    let arguments = Arguments::parse_from(arguments.into_iter().map(spelled));
     cli::run("embree-trace", || run(&arguments))
 }
 

@@ -7,7 +7,7 @@ use super::layout::{
 use super::record::{Record, Reject};
 use crate::format::checksum;
 use byteorder::{LittleEndian, WriteBytesExt};
-use std::io::{self, Write};
+use std::io::{self, Seek, SeekFrom, Write};
 
 /// What has been written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -76,6 +76,23 @@ impl<W: Write> RaysWriter<W> {
     /// What has been written so far: after an error, what a reader will recover.
     pub fn totals(&self) -> Totals {
         self.totals
+    }
+
+    /// Replaces the header: for what is known only at the end.
+    ///
+    /// # Errors
+    /// When the file cannot be written twice, such as a pipe: then it is as it was.
+    pub fn replace_header(&mut self, header: &Header) -> io::Result<()>
+    where
+        W: Seek,
+    {
+        self.out.seek(SeekFrom::Start(0))?;
+        // Cleared again at the end: the next chunk must not be written in the wrong place.
+        let failed = std::mem::replace(&mut self.failed, true);
+        self.out.write_all(&header.bytes())?;
+        self.out.seek(SeekFrom::Start(self.totals.bytes))?;
+        self.failed = failed;
+        Ok(())
     }
 
     /// Writes the index and the end mark.

@@ -1,0 +1,105 @@
+/* What the preload library, inside the recorded program, and embree-trace, which started it, share: a mapping with queries
+ * and counters, and one file per committed scene. Data flows one way, but for `stop`.
+ *
+ * The mapping: ExchangeHeader; u32 numbers[EXCHANGE_SCENES]; u8 captures[EXCHANGE_CAPTURES]; slots. A thread of the program
+ * owns a slot, fills it and marks it full; embree-trace empties it and marks it free. `count` is right at any moment, so what
+ * stands in a slot whose owner was killed is not lost. Every field that both sides touch is accessed atomically. */
+#ifndef EMBREE_TRACE_EXCHANGE_H
+#define EMBREE_TRACE_EXCHANGE_H
+
+#include <stdint.h>
+
+#include "shim.h"
+
+/* Changes with every change of this file. */
+#define EXCHANGE_MAGIC 0x3130684378457445ull
+
+enum {
+  EXCHANGE_SLOTS = 256,          /* threads that can record at a time */
+  EXCHANGE_RECORDS = 16384,      /* queries of a slot */
+  EXCHANGE_REJECTS = 32768,      /* rejects of a slot */
+  EXCHANGE_SCENES = 65536,       /* committed scenes that were asked something: the numbers that a chunk has room for */
+  EXCHANGE_CAPTURES = 1 << 20,   /* committed scenes */
+  EXCHANGE_PATH = 1024
+};
+
+/* States of a slot. */
+enum { EXCHANGE_FREE = 0, EXCHANGE_OWNED = 1, EXCHANGE_FULL = 2 };
+/* States of a capture. */
+enum { EXCHANGE_HELD = 1, EXCHANGE_RELEASED = 2 };
+
+typedef struct ExchangeHeader {
+  uint64_t magic;
+  uint64_t bytes; /* of the whole mapping */
+  /* From embree-trace. */
+  uint32_t stop; /* non-zero: nothing more is to be recorded */
+  int32_t collector; /* its process */
+  char directory[EXCHANGE_PATH]; /* of the scenes' files, absolute, zero terminated */
+  /* From the program. */
+  uint32_t processes; /* that have called Embree */
+  uint32_t threads;   /* that have asked Embree */
+  uint32_t scenes;    /* numbers given */
+  uint32_t captures;  /* scenes committed and captured */
+  uint32_t embree_version;
+  uint32_t foreign; /* calls of Embree went to a library that is not libembree3 */
+  uint64_t unrecorded;   /* queries for which there was no slot */
+  uint64_t unnumbered;   /* queries of scenes that could not be captured */
+  uint64_t lost_rejects; /* rejects that could not be assigned, or were too many */
+  uint32_t failed;       /* 1 being written, 2: `failure` says what went wrong first */
+  char failure[256];
+} ExchangeHeader;
+
+typedef struct ExchangeSlot {
+  uint32_t state;
+  uint32_t thread; /* numbered from 0, over all processes */
+  uint32_t count;  /* complete records */
+  uint32_t reject_count;
+  uint64_t sequence; /* number, within the thread, of the first record */
+  uint64_t unused[5];
+  ShimRecord records[EXCHANGE_RECORDS];
+  uint16_t scenes[EXCHANGE_RECORDS]; /* of each record */
+  uint32_t rejects[EXCHANGE_REJECTS][2]; /* index of the record, triangle; those of complete records first */
+} ExchangeSlot;
+
+/* A scene's file, NUMBER.scene in the directory: ExchangeScene, parts, nodes, primitives, triangles. The triangles are those
+ * of its own geometries, in the order of the parts; an instance's are in the file of the scene that it instances. An entry of
+ * the primitives with EXCHANGE_INSTANCE set names an instance by its geomID. */
+enum { EXCHANGE_INSTANCE = 0x80000000u };
+
+enum {
+  EXCHANGE_TRIANGLES = 0,
+  EXCHANGE_QUADS = 1,
+  EXCHANGE_INSTANCED = 2,
+  EXCHANGE_OTHER = 3 /* curves, points, grids, subdivision surfaces, user geometry, motion: left out */
+};
+
+typedef struct ExchangePart {
+  uint32_t geometry; /* geomID */
+  uint32_t kind;
+  uint32_t mask;
+  uint32_t first_triangle; /* in TRIS, once flattened */
+  uint32_t triangle_count;
+  uint32_t capture; /* of the instanced scene */
+  uint32_t type;    /* RTCGeometryType */
+  uint32_t moving;  /* has several time steps */
+  float transform[12]; /* of an instance: 3 x 4, row by row */
+} ExchangePart;
+
+typedef struct ExchangeScene {
+  uint64_t magic;
+  uint64_t part_count;
+  uint64_t node_count; /* 0: there is no tree, and `doubt` says why */
+  uint64_t primitive_count;
+  uint64_t triangle_count; /* in this file */
+  uint64_t flattened_count; /* with those of the instances */
+  uint32_t scene;  /* which of the program's scenes, from 0 */
+  uint32_t commit; /* of this scene, from 0 */
+  uint32_t version;
+  uint32_t splits;
+  uint32_t others;   /* geometries that are left out, also in instances */
+  uint32_t dropped;  /* finite triangles that Embree drops, written as NaN */
+  char producer[64];
+  char doubt[192];
+} ExchangeScene;
+
+#endif

@@ -1,0 +1,145 @@
+// The mapping: opened at the first call of Embree, from the path that embree-trace put in the environment. It leads to a file
+// without a name, so nothing is left behind, and a program that closes the descriptors it inherited does not lose it.
+#include "preload_exchange.hpp"
+
+#include <fcntl.h>
+#include <signal.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstddef>
+#include <cstdio>
+#include <cstdlib>
+#include <ctime>
+
+namespace preload {
+namespace {
+
+constexpr const char* variable = "EMBREE_TRACE_EXCHANGE";
+
+constexpr std::size_t numbers_offset = (sizeof(ExchangeHeader) + 63) / 64 * 64;
+constexpr std::size_t captures_offset = numbers_offset + EXCHANGE_SCENES * sizeof(std::uint32_t);
+constexpr std::size_t slots_offset = captures_offset + EXCHANGE_CAPTURES;
+constexpr std::size_t mapping_bytes = slots_offset + EXCHANGE_SLOTS * sizeof(ExchangeSlot);
+static_assert(slots_offset % 64 == 0 && sizeof(ExchangeSlot) % 64 == 0 && offsetof(ExchangeSlot, records) == 64);
+
+ExchangeHeader* attach() noexcept {
+  const char* path = std::getenv(variable);
+  if (path == nullptr) return nullptr;
+  const int saved = errno;
+  const int file = open(path, O_RDWR | O_CLOEXEC);
+  void* memory = MAP_FAILED;
+  struct stat status;
+  if (file >= 0 && fstat(file, &status) == 0 && static_cast<std::size_t>(status.st_size) == mapping_bytes) {
+    memory = mmap(nullptr, mapping_bytes, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+  }
+  if (file >= 0) close(file);
+  errno = saved;
+  auto* header = static_cast<ExchangeHeader*>(memory);
+  if (memory == MAP_FAILED || header->magic != EXCHANGE_MAGIC) {
+    std::fprintf(stderr, "embree-trace: warning: %s does not lead to a recording; this process is not recorded\n", variable);
+    return nullptr;
+  }
+  add(header->processes, 1u);
+  return header;
+}
+
+ExchangeHeader* mapping() noexcept {
+  static ExchangeHeader* const header = attach();
+  return header;
+}
+
+template <typename T>
+T* at(std::size_t offset) noexcept {
+  return reinterpret_cast<T*>(reinterpret_cast<char*>(mapping()) + offset);
+}
+
+ExchangeSlot* slot(std::size_t index) noexcept { return at<ExchangeSlot>(slots_offset) + index; }
+
+void sleep_for_microseconds(long microseconds) noexcept {
+  const int saved = errno;
+  const timespec time{0, microseconds * 1000};
+  nanosleep(&time, nullptr);
+  errno = saved;
+}
+
+bool collector_lives(const ExchangeHeader& header) noexcept {
+  const int saved = errno;
+  const bool lives = kill(header.collector, 0) == 0 || errno != ESRCH;
+  errno = saved;
+  return lives;
+}
+
+}  // namespace
+
+ExchangeHeader* exchange() noexcept {
+  ExchangeHeader* header = mapping();
+  return header != nullptr && load(header->stop) == 0 ? header : nullptr;
+}
+
+ExchangeSlot* take_slot(std::uint32_t thread, std::uint64_t sequence) noexcept {
+  for (unsigned round = 0;; round++) {
+    ExchangeHeader* header = exchange();
+    if (header == nullptr) return nullptr;
+    bool full = false;
+    for (std::size_t number = 0; number < EXCHANGE_SLOTS; number++) {
+      // Threads start at different slots, so that they seldom meet.
+      ExchangeSlot* candidate = slot((number + thread * 7) % EXCHANGE_SLOTS);
+      std::uint32_t state = load(candidate->state);
+      full = full || state == EXCHANGE_FULL;
+      if (state != EXCHANGE_FREE) continue;
+      if (!__atomic_compare_exchange_n(&candidate->state, &state, static_cast<std::uint32_t>(EXCHANGE_OWNED), false,
+                                       __ATOMIC_ACQ_REL, __ATOMIC_RELAXED)) {
+        continue;
+      }
+      candidate->thread = thread;
+      candidate->sequence = sequence;
+      candidate->reject_count = 0;
+      store(candidate->count, 0u);
+      return candidate;
+    }
+    if (!full) return nullptr;
+    // embree-trace is behind, or gone.
+    constexpr unsigned rounds_per_check = 256;
+    if (round % rounds_per_check == rounds_per_check - 1 && !collector_lives(*header)) {
+      store(header->stop, 1u);
+      return nullptr;
+    }
+    sleep_for_microseconds(200);
+  }
+}
+
+void give_slot(ExchangeSlot* slot) noexcept {
+  const bool empty = slot->count == 0;
+  store(slot->state, static_cast<std::uint32_t>(empty ? EXCHANGE_FREE : EXCHANGE_FULL));
+}
+
+std::uint32_t number_scene(std::uint32_t capture) noexcept {
+  ExchangeHeader* header = mapping();
+  std::uint32_t number = load(header->scenes);
+  do {
+    if (number >= EXCHANGE_SCENES) return EXCHANGE_SCENES;
+  } while (!__atomic_compare_exchange_n(&header->scenes, &number, number + 1, false, __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE));
+  // 0 means that it is not there yet.
+  store(at<std::uint32_t>(numbers_offset)[number], capture + 1);
+  return number;
+}
+
+void set_capture_state(std::uint32_t capture, std::uint8_t state) noexcept {
+  store(at<std::uint8_t>(captures_offset)[capture], state);
+}
+
+void fail(const char* reason) noexcept {
+  ExchangeHeader* header = mapping();
+  if (header == nullptr) return;
+  std::uint32_t none = 0;
+  if (__atomic_compare_exchange_n(&header->failed, &none, 1u, false, __ATOMIC_ACQ_REL, __ATOMIC_RELAXED)) {
+    std::snprintf(header->failure, sizeof header->failure, "%s", reason);
+    store(header->failed, 2u);
+  }
+  store(header->stop, 1u);
+}
+
+}  // namespace preload

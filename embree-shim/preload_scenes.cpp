@@ -1,0 +1,361 @@
+// Decorates the calls that make, fill and commit scenes: follows which geometries are attached where, and has every
+// committed scene captured, before the program can change what it was built from.
+//
+// The registry is never freed: the program may use Embree until its last moment. One lock guards it; no query takes it but
+// the first of a thread after a commit.
+#include <pthread.h>
+
+#include <new>
+#include <unordered_map>
+
+#include "preload_exchange.hpp"
+#include "preload_filters.hpp"
+#include "preload_scenes.hpp"
+
+namespace preload {
+namespace {
+
+struct Registry {
+  std::mutex lock;
+  std::unordered_map<RTCScene, std::shared_ptr<Scene>> scenes;
+  std::unordered_map<RTCGeometry, std::shared_ptr<Geometry>> geometries;
+  std::uint32_t scene_count = 0;
+  std::atomic<std::uint64_t> epoch{1};
+};
+
+Registry* made() noexcept;
+
+Registry& registry() noexcept {
+  static Registry* const registry = made();
+  return *registry;
+}
+
+// A fork copies the locks as they are, and not the threads that hold them.
+Registry* made() noexcept {
+  pthread_atfork([] { registry().lock.lock(); }, [] { registry().lock.unlock(); },
+                 [] {
+                   for (auto& [handle, scene] : registry().scenes) new (&scene->commit) std::mutex();
+                   registry().lock.unlock();
+                 });
+  return new Registry;
+}
+
+// Runs `work` under the lock, unless this process is not recorded. What cannot be followed ends the recording, not the program.
+template <typename Work>
+void follow(Work&& work) noexcept {
+  if (exchange() == nullptr || !real().known) return;
+  try {
+    const std::lock_guard<std::mutex> lock(registry().lock);
+    work(registry());
+  } catch (...) {
+    fail("there is no memory left to follow the program's scenes");
+  }
+}
+
+template <typename Map, typename Key>
+typename Map::mapped_type find(const Map& map, Key key) {
+  const auto found = map.find(key);
+  return found == map.end() ? nullptr : found->second;
+}
+
+// Runs `change` on a geometry, if it is known.
+template <typename Change>
+void change_geometry(RTCGeometry handle, Change&& change) noexcept {
+  follow([&](Registry& registry) {
+    if (const auto geometry = find(registry.geometries, handle)) {
+      change(*geometry);
+      geometry->changes++;
+    }
+  });
+}
+
+template <typename Change>
+void change_scene(RTCScene handle, Change&& change) noexcept {
+  follow([&](Registry& registry) {
+    if (const auto scene = find(registry.scenes, handle)) {
+      change(*scene);
+      scene->changes++;
+    }
+  });
+}
+
+void set_buffer(RTCGeometry handle, RTCBufferType type, unsigned slot, RTCFormat format, std::size_t stride,
+                std::size_t count) noexcept {
+  // Further slots are the vertices of later time steps.
+  if (slot != 0) return;
+  change_geometry(handle, [&](Geometry& geometry) {
+    const Geometry::Buffer buffer{true, format, stride, count};
+    if (type == RTC_BUFFER_TYPE_VERTEX) geometry.vertices = buffer;
+    if (type == RTC_BUFFER_TYPE_INDEX) geometry.indices = buffer;
+  });
+}
+
+void attach(RTCScene scene, RTCGeometry geometry, unsigned id) noexcept {
+  follow([&](Registry& registry) {
+    const auto into = find(registry.scenes, scene);
+    const auto what = find(registry.geometries, geometry);
+    if (into == nullptr || what == nullptr) return;
+    into->geometries[id] = what;
+    into->changes++;
+  });
+}
+
+// Captures the scene's last commit, if nobody has. Called without the registry's lock.
+void capture(Scene& scene) {
+  const std::lock_guard<std::mutex> lock(scene.commit);
+  if (!scene.pending.load(std::memory_order_acquire)) return;
+  std::vector<Attachment> attachments;
+  std::vector<std::uint64_t> signature;
+  {
+    const std::lock_guard<std::mutex> reading(registry().lock);
+    signature.push_back(scene.changes);
+    for (const auto& [id, geometry] : scene.geometries) {
+      if (!geometry->enabled) continue;
+      std::shared_ptr<const Capture> instanced;
+      if (geometry->instanced != nullptr) instanced = geometry->instanced->capture;
+      signature.insert(signature.end(), {id, reinterpret_cast<std::uintptr_t>(geometry.get()), geometry->changes,
+                                         reinterpret_cast<std::uintptr_t>(instanced.get())});
+      attachments.push_back({id, geometry, *geometry, std::move(instanced)});
+    }
+  }
+  std::shared_ptr<const Capture> made = scene.capture;
+  if (made == nullptr || signature != scene.signature) {
+    made = write_capture(scene, attachments);
+    scene.signature = std::move(signature);
+    scene.commits++;
+  }
+  const std::lock_guard<std::mutex> writing(registry().lock);
+  scene.capture.swap(made);
+  scene.pending.store(false, std::memory_order_release);
+  registry().epoch.fetch_add(1, std::memory_order_acq_rel);
+}
+
+void before_commit(RTCScene handle) noexcept {
+  follow([&](Registry& registry) {
+    if (const auto scene = find(registry.scenes, handle)) scene->pending.store(true, std::memory_order_release);
+  });
+}
+
+std::shared_ptr<Scene> scene_of(RTCScene handle) {
+  const std::lock_guard<std::mutex> lock(registry().lock);
+  return find(registry().scenes, handle);
+}
+
+void after_commit(RTCScene handle) noexcept {
+  if (exchange() == nullptr || !real().known) return;
+  try {
+    if (const auto scene = scene_of(handle)) capture(*scene);
+  } catch (...) {
+    fail("there is no memory left to capture a scene");
+  }
+}
+
+}  // namespace
+
+std::uint64_t epoch() noexcept { return registry().epoch.load(std::memory_order_acquire); }
+
+const Capture* capture_of(RTCScene handle) noexcept {
+  try {
+    const auto scene = scene_of(handle);
+    if (scene == nullptr) return nullptr;
+    // Another thread's commit may have returned later than this one's, when both joined it.
+    if (scene->pending.load(std::memory_order_acquire)) capture(*scene);
+    const std::lock_guard<std::mutex> lock(registry().lock);
+    return scene->capture.get();
+  } catch (...) {
+    return nullptr;
+  }
+}
+
+}  // namespace preload
+
+using namespace preload;
+
+// The decorated calls, under Embree's names and with its prototypes.
+
+RTCScene rtcNewScene(RTCDevice device) {
+  RTCScene handle = real().rtcNewScene(device);
+  if (handle == nullptr) return handle;
+  follow([&](Registry& registry) {
+    auto scene = std::make_shared<Scene>();
+    scene->handle = handle;
+    scene->index = registry.scene_count++;
+    registry.scenes[handle] = std::move(scene);
+    registry.epoch.fetch_add(1, std::memory_order_acq_rel);
+  });
+  return handle;
+}
+
+void rtcRetainScene(RTCScene scene) {
+  real().rtcRetainScene(scene);
+  change_scene(scene, [](Scene& scene) {
+    scene.references++;
+    scene.changes--;
+  });
+}
+
+void rtcReleaseScene(RTCScene scene) {
+  // What goes away here is freed after the lock is given back: it may hold other scenes.
+  std::shared_ptr<Scene> last;
+  follow([&](Registry& registry) {
+    last = find(registry.scenes, scene);
+    if (last == nullptr || --last->references > 0) return;
+    if (last.use_count() == 2) registry.scenes.erase(scene);
+    registry.epoch.fetch_add(1, std::memory_order_acq_rel);
+  });
+  real().rtcReleaseScene(scene);
+}
+
+unsigned int rtcAttachGeometry(RTCScene scene, RTCGeometry geometry) {
+  const unsigned id = real().rtcAttachGeometry(scene, geometry);
+  attach(scene, geometry, id);
+  return id;
+}
+
+void rtcAttachGeometryByID(RTCScene scene, RTCGeometry geometry, unsigned int id) {
+  real().rtcAttachGeometryByID(scene, geometry, id);
+  attach(scene, geometry, id);
+}
+
+void rtcDetachGeometry(RTCScene scene, unsigned int id) {
+  real().rtcDetachGeometry(scene, id);
+  std::shared_ptr<Geometry> last;
+  change_scene(scene, [&](Scene& scene) {
+    const auto found = scene.geometries.find(id);
+    if (found == scene.geometries.end()) return;
+    last = found->second;
+    scene.geometries.erase(found);
+    if (last->references <= 0 && last.use_count() == 2) registry().geometries.erase(last->handle);
+  });
+}
+
+void rtcCommitScene(RTCScene scene) {
+  before_commit(scene);
+  real().rtcCommitScene(scene);
+  after_commit(scene);
+}
+
+void rtcJoinCommitScene(RTCScene scene) {
+  before_commit(scene);
+  real().rtcJoinCommitScene(scene);
+  after_commit(scene);
+}
+
+void rtcSetSceneBuildQuality(RTCScene scene, RTCBuildQuality quality) {
+  real().rtcSetSceneBuildQuality(scene, quality);
+  change_scene(scene, [&](Scene& scene) { scene.spatial_splits = quality == RTC_BUILD_QUALITY_HIGH; });
+}
+
+void rtcSetSceneFlags(RTCScene scene, RTCSceneFlags flags) {
+  real().rtcSetSceneFlags(scene, flags);
+  change_scene(scene, [](Scene&) {});
+}
+
+RTCGeometry rtcNewGeometry(RTCDevice device, RTCGeometryType type) {
+  RTCGeometry handle = real().rtcNewGeometry(device, type);
+  if (handle == nullptr) return handle;
+  follow([&](Registry& registry) {
+    auto geometry = std::make_shared<Geometry>();
+    geometry->handle = handle;
+    geometry->type = type;
+    registry.geometries[handle] = std::move(geometry);
+  });
+  return handle;
+}
+
+void rtcRetainGeometry(RTCGeometry geometry) {
+  real().rtcRetainGeometry(geometry);
+  change_geometry(geometry, [](Geometry& geometry) {
+    geometry.references++;
+    geometry.changes--;
+  });
+}
+
+void rtcReleaseGeometry(RTCGeometry geometry) {
+  std::shared_ptr<Geometry> last;
+  follow([&](Registry& registry) {
+    last = find(registry.geometries, geometry);
+    if (last == nullptr || --last->references > 0) return;
+    if (last.use_count() == 2) registry.geometries.erase(geometry);
+  });
+  real().rtcReleaseGeometry(geometry);
+}
+
+void rtcCommitGeometry(RTCGeometry geometry) {
+  real().rtcCommitGeometry(geometry);
+  change_geometry(geometry, [](Geometry&) {});
+}
+
+void rtcEnableGeometry(RTCGeometry geometry) {
+  real().rtcEnableGeometry(geometry);
+  change_geometry(geometry, [](Geometry& geometry) { geometry.enabled = true; });
+}
+
+void rtcDisableGeometry(RTCGeometry geometry) {
+  real().rtcDisableGeometry(geometry);
+  change_geometry(geometry, [](Geometry& geometry) { geometry.enabled = false; });
+}
+
+void rtcSetGeometryTimeStepCount(RTCGeometry geometry, unsigned int count) {
+  real().rtcSetGeometryTimeStepCount(geometry, count);
+  change_geometry(geometry, [&](Geometry& geometry) { geometry.time_steps = count; });
+}
+
+void rtcSetGeometryMask(RTCGeometry geometry, unsigned int mask) {
+  real().rtcSetGeometryMask(geometry, mask);
+  change_geometry(geometry, [&](Geometry& geometry) { geometry.mask = mask; });
+}
+
+void rtcSetGeometryBuffer(RTCGeometry geometry, RTCBufferType type, unsigned int slot, RTCFormat format, RTCBuffer buffer,
+                          size_t offset, size_t stride, size_t count) {
+  real().rtcSetGeometryBuffer(geometry, type, slot, format, buffer, offset, stride, count);
+  set_buffer(geometry, type, slot, format, stride, count);
+}
+
+void rtcSetSharedGeometryBuffer(RTCGeometry geometry, RTCBufferType type, unsigned int slot, RTCFormat format,
+                                const void* data, size_t offset, size_t stride, size_t count) {
+  real().rtcSetSharedGeometryBuffer(geometry, type, slot, format, data, offset, stride, count);
+  set_buffer(geometry, type, slot, format, stride, count);
+}
+
+void* rtcSetNewGeometryBuffer(RTCGeometry geometry, RTCBufferType type, unsigned int slot, RTCFormat format, size_t stride,
+                              size_t count) {
+  void* data = real().rtcSetNewGeometryBuffer(geometry, type, slot, format, stride, count);
+  if (data != nullptr) set_buffer(geometry, type, slot, format, stride, count);
+  return data;
+}
+
+void rtcUpdateGeometryBuffer(RTCGeometry geometry, RTCBufferType type, unsigned int slot) {
+  real().rtcUpdateGeometryBuffer(geometry, type, slot);
+  change_geometry(geometry, [](Geometry&) {});
+}
+
+void rtcSetGeometryIntersectFilterFunction(RTCGeometry geometry, RTCFilterFunctionN filter) {
+  real().rtcSetGeometryIntersectFilterFunction(geometry, wrapped(filter));
+}
+
+void rtcSetGeometryOccludedFilterFunction(RTCGeometry geometry, RTCFilterFunctionN filter) {
+  real().rtcSetGeometryOccludedFilterFunction(geometry, wrapped(filter));
+}
+
+void rtcSetGeometryInstancedScene(RTCGeometry geometry, RTCScene scene) {
+  real().rtcSetGeometryInstancedScene(geometry, scene);
+  std::shared_ptr<Scene> last;
+  follow([&](Registry& registry) {
+    const auto instance = find(registry.geometries, geometry);
+    if (instance == nullptr) return;
+    last = std::move(instance->instanced);
+    instance->instanced = find(registry.scenes, scene);
+    instance->changes++;
+  });
+}
+
+void rtcSetGeometryTransform(RTCGeometry geometry, unsigned int step, RTCFormat format, const void* transform) {
+  real().rtcSetGeometryTransform(geometry, step, format, transform);
+  change_geometry(geometry, [](Geometry&) {});
+}
+
+void rtcSetGeometryTransformQuaternion(RTCGeometry geometry, unsigned int step, const RTCQuaternionDecomposition* transform) {
+  real().rtcSetGeometryTransformQuaternion(geometry, step, transform);
+  change_geometry(geometry, [](Geometry&) {});
+}

@@ -1,0 +1,215 @@
+//! Recording a program that we did not write: it runs unmodified, with a preload library that decorates Embree's calls.
+//!
+//! The library (`embree-shim/preload*.cpp`) is in this binary; the program's loader gets it through a file without a name. Inside
+//! the program, each thread copies its queries and their answers to a slot of shared memory, and each commit of a scene leaves a file
+//! with its triangles and its tree (`exchange`, `capture`). Here, one thread empties the slots, guesses what queries were for
+//! ([`purpose`]), chooses ([`select`]), puts scenes and their instances together (`flatten`), and writes (`collect`).
+//!
+//! So whatever happens to the program, what it has asked is here: an exit without destructors, a crash or a kill loses
+//! at most the query that each thread was at. When this process is killed, the file is good up to its last chunk, and the program goes on.
+
+mod capture;
+mod collect;
+mod exchange;
+mod flatten;
+pub mod purpose;
+pub mod report;
+pub mod select;
+
+use crate::files::{self, FileError};
+use crate::format::rays::Codec;
+use collect::{CollectError, Collector, Target};
+use exchange::{Exchange, memory_file, path_of};
+use purpose::Rules;
+use report::Report;
+use select::{Selection, Selector};
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus};
+use std::time::Duration;
+use thiserror::Error;
+
+/// The preload library.
+const LIBRARY: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/preload.so"));
+/// Set for the program: the path of the exchange.
+const VARIABLE: &str = "EMBREE_TRACE_EXCHANGE";
+/// How long to wait when the program has handed over nothing.
+const PAUSE: Duration = Duration::from_millis(1);
+
+/// What to run, and what to write.
+#[derive(Clone, Debug)]
+pub struct Options {
+    pub program: OsString,
+    pub arguments: Vec<OsString>,
+    pub rays: PathBuf,
+    /// Of the first scene; see [`report::SceneLine::path`] for the others.
+    pub bvh: PathBuf,
+    pub codec: Codec,
+    pub selection: Selection,
+    /// By the program's name when `None`.
+    pub rules: Option<Rules>,
+    /// A scene with more, once its instances are flattened, gets no tree.
+    pub max_triangles: u32,
+}
+
+/// Why there is no recording.
+#[derive(Debug, Error)]
+pub enum ProgramError {
+    #[error("{0}")]
+    File(#[from] FileError),
+    #[error("cannot run {program}: {source}")]
+    Start { program: String, source: io::Error },
+    #[error("cannot share memory with the program: {0}")]
+    Exchange(io::Error),
+    #[error(
+        "{path}: recording stopped after {records} queries (readable): {source}; the program was left to run on to its end"
+    )]
+    Write { path: String, records: u64, source: io::Error },
+    #[error(
+        "{path}: {records} queries are recorded and readable, but their scene is not: {source}; the program was left to run on to its end"
+    )]
+    Scene { path: String, records: u64, source: FileError },
+}
+
+/// Runs the program to its end and records what it asks Embree.
+///
+/// # Errors
+/// When it cannot be run, or a file cannot be written. Also then the program runs to its end.
+pub fn record(options: &Options) -> Result<Report, ProgramError> {
+    let out = files::create(&options.rays)?;
+    let directory = Directory::beside(&options.rays)?;
+    let exchange = Exchange::new(&directory.0).map_err(ProgramError::Exchange)?;
+    let library = library().map_err(ProgramError::Exchange)?;
+    let rules = options.rules.unwrap_or_else(|| Rules::of_program(Path::new(&options.program)));
+    let selector = Selector::new(options.selection.clone(), rules);
+    let command = std::iter::once(&options.program).chain(&options.arguments);
+    let target = Target {
+        bvh: options.bvh.clone(),
+        directory: directory.0.clone(),
+        codec: options.codec,
+        max_triangles: options.max_triangles,
+        command: command.map(|word| word.to_string_lossy().into_owned()).collect(),
+    };
+    let failed = |records, error| match error {
+        CollectError::Rays(source) => {
+            ProgramError::Write { path: options.rays.display().to_string(), records, source }
+        }
+        CollectError::Tree(source) => {
+            ProgramError::Scene { path: options.rays.display().to_string(), records, source }
+        }
+    };
+    let mut collector =
+        Collector::new(target, out, selector).map_err(|error| failed(0, CollectError::Rays(error)))?;
+
+    let mut child = start(options, &exchange, &library)?;
+    let status = match collect(&mut child, &mut collector, &exchange) {
+        Ok(status) => status,
+        Err(error) => {
+            exchange.stop();
+            let _ = child.wait();
+            return Err(failed(collector.totals().records, error));
+        }
+    };
+    let records = collector.totals().records;
+    let (totals, scenes, seen) = collector.finish(&exchange).map_err(|error| failed(records, error))?;
+    let counters = exchange.counters();
+    let mut report = Report {
+        status: exit_code(status),
+        rays: options.rays.display().to_string(),
+        bytes: totals.bytes,
+        seen,
+        records: totals.records,
+        rejects: totals.rejects,
+        threads: counters.threads,
+        processes: counters.processes,
+        scenes,
+        warnings: Vec::new(),
+    };
+    if let Some(signal) = status.signal() {
+        report.warnings.push(format!(
+            "the program was ended by signal {signal}; what it had asked until then is recorded"
+        ));
+    }
+    for scene in &report.scenes {
+        let named = |warning: &String| format!("scene {}: {warning}", scene.number);
+        report.warnings.extend(scene.warnings.iter().map(named));
+    }
+    report.warn(&counters);
+    Ok(report)
+}
+
+/// A file in memory with the library in it.
+fn library() -> io::Result<File> {
+    let mut file = memory_file(c"libembree_trace_preload.so")?;
+    file.write_all(LIBRARY)?;
+    Ok(file)
+}
+
+fn start(options: &Options, exchange: &Exchange, library: &File) -> Result<Child, ProgramError> {
+    // Other libraries that are to be preloaded stay, behind ours.
+    let mut preload = OsString::from(path_of(library));
+    if let Some(others) = std::env::var_os("LD_PRELOAD").filter(|others| !others.is_empty()) {
+        preload.push(":");
+        preload.push(others);
+    }
+    let child = Command::new(&options.program)
+        .args(&options.arguments)
+        .env("LD_PRELOAD", preload)
+        .env(VARIABLE, exchange.path())
+        .spawn()
+        .map_err(|source| ProgramError::Start {
+            program: options.program.to_string_lossy().into_owned(),
+            source,
+        })?;
+    // A terminal sends an interrupt to both: the program decides what it does then, and we write down what it asked.
+    // SAFETY: to ignore a signal needs no handler.
+    unsafe { libc::signal(libc::SIGINT, libc::SIG_IGN) };
+    Ok(child)
+}
+
+/// Empties the slots until the program ends.
+fn collect(
+    child: &mut Child,
+    collector: &mut Collector,
+    exchange: &Exchange,
+) -> Result<ExitStatus, CollectError> {
+    loop {
+        let busy = collector.step(exchange)?;
+        if let Some(status) = child.try_wait().map_err(CollectError::Rays)? {
+            return Ok(status);
+        }
+        if !busy {
+            std::thread::sleep(PAUSE);
+        }
+    }
+}
+
+/// As a shell says it.
+fn exit_code(status: ExitStatus) -> i32 {
+    status.code().unwrap_or_else(|| 128 + status.signal().unwrap_or(0))
+}
+
+/// Where the program puts its scenes: beside the recording, for that is where room for them is; removed at the end.
+struct Directory(PathBuf);
+
+impl Directory {
+    fn beside(rays: &Path) -> Result<Directory, FileError> {
+        let error = |source| FileError::new(rays, "create a directory beside", source);
+        let parent = rays.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let parent = fs::canonicalize(parent).map_err(error)?;
+        let name = rays.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let path = parent.join(format!(".{name}.{}.scenes", std::process::id()));
+        fs::create_dir(&path).map_err(error)?;
+        Ok(Directory(path))
+    }
+}
+
+impl Drop for Directory {
+    fn drop(&mut self) {
+        // What cannot be removed is in nobody's way.
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}

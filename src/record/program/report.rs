@@ -1,0 +1,162 @@
+//! What a recording of a program brought, as text or JSON: the scenes, what was kept, what was not and why.
+
+use super::capture::{Capture, Kind};
+use super::exchange::Counters;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fmt;
+
+/// Geometries without triangles, by kind: their queries and hits are kept, and flagged.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[serde(transparent)]
+pub struct LeftOut(pub BTreeMap<&'static str, u32>);
+
+impl LeftOut {
+    /// Counts those of a scene, and those of its instances as often as they are instanced.
+    pub fn of<'a>(top: &'a Capture, captured: impl Fn(u32) -> Option<&'a Capture>) -> LeftOut {
+        let mut kinds = BTreeMap::new();
+        let mut count = |capture: &Capture| {
+            for part in &capture.parts {
+                if let Kind::Other { geometry_type, moving } = part.kind {
+                    *kinds.entry(kind_name(geometry_type, moving)).or_insert(0) += 1;
+                }
+            }
+        };
+        count(top);
+        for part in &top.parts {
+            if let Kind::Instance { capture, .. } = part.kind
+                && let Some(instanced) = captured(capture)
+            {
+                count(instanced);
+            }
+        }
+        LeftOut(kinds)
+    }
+}
+
+/// The name of an `RTCGeometryType`.
+fn kind_name(geometry_type: u32, moving: bool) -> &'static str {
+    match (geometry_type, moving) {
+        (0, true) => "moving triangles",
+        (1, true) => "moving quads",
+        (121, true) => "moving instances",
+        (0, _) => "triangles without a tree",
+        (1, _) => "quads without a tree",
+        (121, _) => "instances of scenes that were not committed",
+        (2, _) => "grids",
+        (8, _) => "subdivision surfaces",
+        (15..=71, _) => "curves and points",
+        (120, _) => "user geometries",
+        _ => "other geometries",
+    }
+}
+
+/// One committed scene that was asked something.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct SceneLine {
+    /// As in the chunks of the `.rays`.
+    pub number: u32,
+    /// Which of the program's scenes, and its how many-th commit, from 0.
+    pub scene: u32,
+    pub commit: u32,
+    pub queries: u64,
+    pub rejects: u64,
+    /// Of its tree; `None` without one.
+    pub path: Option<String>,
+    pub producer: String,
+    pub triangles: u64,
+    pub instances: u64,
+    pub nodes: u64,
+    pub left_out: LeftOut,
+    pub warnings: Vec<String>,
+}
+
+/// What a recording brought.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// How the program ended: its exit code, or 128 and the signal.
+    pub status: i32,
+    pub rays: String,
+    pub bytes: u64,
+    /// Queries that arrived, and those that are in the file.
+    pub seen: u64,
+    pub records: u64,
+    pub rejects: u64,
+    pub threads: u32,
+    pub processes: u32,
+    pub scenes: Vec<SceneLine>,
+    pub warnings: Vec<String>,
+}
+
+impl Report {
+    /// Adds what the counters tell of things that are missing.
+    pub fn warn(&mut self, counters: &Counters) {
+        let Counters { unrecorded, unnumbered, lost_rejects, foreign, .. } = *counters;
+        let mut warn = |holds: bool, text: String| {
+            if holds {
+                self.warnings.push(text);
+            }
+        };
+        warn(
+            unrecorded > 0,
+            format!(
+                "{unrecorded} queries are not recorded: more threads or rays at once than there is room for"
+            ),
+        );
+        warn(
+            unnumbered > 0,
+            format!("{unnumbered} calls are not recorded: their scene could not be captured"),
+        );
+        warn(
+            lost_rejects > 0,
+            format!(
+                "{lost_rejects} rejects of filters are not recorded: a replay may hit what they rejected"
+            ),
+        );
+        warn(foreign, "some calls went to a library that is not Embree 3: they are not recorded".to_owned());
+        if let Some(failure) = &counters.failure {
+            self.warnings.push(format!("the recording ended early: {failure}"));
+        }
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let Report { rays, bytes, seen, records, rejects, threads, processes, .. } = self;
+        write!(f, "rays     {rays}: {bytes} bytes, {records} queries")?;
+        if records != seen {
+            write!(f, " of {seen}")?;
+        }
+        let plural = |count: u32| if count == 1 { "" } else { "s" };
+        writeln!(f, ", {rejects} rejects; {threads} thread{} asked", plural(*threads))?;
+        if *processes > 1 {
+            writeln!(f, "{:<9}of {processes} processes", "")?;
+        }
+        for scene in &self.scenes {
+            let SceneLine {
+                number,
+                scene: which,
+                commit,
+                queries,
+                path,
+                producer,
+                triangles,
+                instances,
+                nodes,
+                ..
+            } = scene;
+            writeln!(f, "scene {number:<3}{queries} queries; the program's scene {which}, commit {commit}")?;
+            if let Some(path) = path {
+                write!(f, "{:<9}{path}: {producer}, {nodes} nodes over {triangles} triangles", "")?;
+                if *instances > 0 {
+                    write!(f, ", {instances} instance{} flattened", plural(*instances as u32))?;
+                }
+                writeln!(f)?;
+            }
+            for (kind, count) in &scene.left_out.0 {
+                writeln!(f, "{:<9}left out of the tree: {count} {kind}", "")?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,426 @@
+//! `embree-trace record`: programs that know nothing of it, ours in every way that Embree can be asked, and Debian's. What they
+//! print or draw is the same with and without; what is recorded is what they saw, and replays without a mismatch.
+#![cfg(feature = "embree")]
+
+use embree_trace::files::MappedFile;
+use embree_trace::format::bvh::{self, Bvh};
+use embree_trace::format::rays::{Purpose, Rays, Record, flag};
+use embree_trace::geometry::Triangle;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+use tempfile::TempDir;
+
+/// The program of `preload_support/host.cpp`, compiled once.
+fn host() -> &'static Path {
+    static HOST: OnceLock<(TempDir, PathBuf)> = OnceLock::new();
+    let (_, path) = HOST.get_or_init(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("host");
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/preload_support/host.cpp");
+        let compiled = Command::new("c++")
+            .args(["-std=c++17", "-O1", "-o"])
+            .arg(&path)
+            .arg(source)
+            .args(["-lembree3", "-lpthread"])
+            .output()
+            .expect("a C++ compiler (tools/setup installs it)");
+        assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
+        (directory, path)
+    });
+    path
+}
+
+/// A recorded run of a program.
+struct Run {
+    directory: TempDir,
+    output: Output,
+}
+
+impl Run {
+    fn new(options: &[&str], program: &Path, arguments: &[&str]) -> Run {
+        let directory = tempfile::tempdir().unwrap();
+        let output = Command::new(env!("CARGO_BIN_EXE_embree-trace"))
+            .arg("record")
+            .args(options)
+            .args(["--savetrace", "casts.rays", "built.bvh", "--"])
+            .arg(program)
+            .args(arguments)
+            .current_dir(directory.path())
+            .output()
+            .unwrap();
+        Run { directory, output }
+    }
+
+    fn of_host(options: &[&str], what: &str) -> Run {
+        let run = Run::new(options, host(), &[what]);
+        assert!(run.output.status.success(), "{what}: {}", run.said());
+        run
+    }
+
+    fn said(&self) -> String {
+        String::from_utf8_lossy(&self.output.stderr).into_owned()
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.directory.path().join(name)
+    }
+
+    fn rays(&self) -> MappedFile {
+        MappedFile::open(&self.path("casts.rays")).unwrap()
+    }
+
+    /// Trees by scene number.
+    fn trees(&self) -> Vec<MappedFile> {
+        let path = |number| self.path(&tree_name(number));
+        (0..)
+            .take_while(|&number| path(number).exists())
+            .map(|number| MappedFile::open(&path(number)).unwrap())
+            .collect()
+    }
+
+    /// Checks both files whole, and replays every scene over its tree: queries, unchecked ones. Nothing may disagree.
+    fn replayed(&self) -> (u64, u64) {
+        let file = self.rays();
+        let rays = Rays::parse(&file).unwrap();
+        rays.validate_all().unwrap();
+        assert!(rays.recovery.is_none());
+        let good = |binary: &str, arguments: &[&str]| {
+            let output =
+                Command::new(binary).args(arguments).current_dir(self.directory.path()).output().unwrap();
+            assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+            output.stdout
+        };
+        let (mut queries, mut unchecked) = (0, 0);
+        for number in 0..self.trees().len() {
+            let (tree, scene) = (tree_name(number), number.to_string());
+            good(env!("CARGO_BIN_EXE_trace-info"), &[&tree, "--verify"]);
+            // Exits with 1 on a mismatch.
+            let compared = good(
+                env!("CARGO_BIN_EXE_bvh-compare"),
+                &[&tree, "casts.rays", "--scene", &scene, "--traversal", "odf", "--format", "json"],
+            );
+            let compared: serde_json::Value = serde_json::from_slice(&compared).unwrap();
+            let counts = &compared["trees"][0]["traversals"]["odf"];
+            queries += counts["queries"].as_u64().unwrap();
+            unchecked += counts["unchecked"].as_u64().unwrap();
+        }
+        good(env!("CARGO_BIN_EXE_trace-info"), &["casts.rays", "--verify"]);
+        assert_eq!(queries, rays.query_count(), "every scene has its tree");
+        (queries, unchecked)
+    }
+
+    /// The records of each thread, in its order, with the fields that a program sees of them as `host.cpp` prints them.
+    fn seen(&self) -> BTreeMap<u32, Vec<String>> {
+        let (file, trees) = (self.rays(), self.trees());
+        let rays = Rays::parse(&file).unwrap();
+        let trees: Vec<Bvh> = trees.iter().map(|file| Bvh::parse(file).unwrap()).collect();
+        let mut threads: BTreeMap<u32, Vec<String>> = BTreeMap::new();
+        for chunk in 0..rays.chunks().len() {
+            let chunk = rays.chunk(chunk).unwrap();
+            let lines = chunk.records.iter().map(|record| line(record, &trees[chunk.info.scene as usize]));
+            threads.entry(chunk.info.thread).or_default().extend(lines);
+        }
+        threads
+    }
+}
+
+fn tree_name(scene: usize) -> String {
+    if scene == 0 { "built.bvh".to_owned() } else { format!("built.{scene}.bvh") }
+}
+
+/// t, geometry, primitive and instance, as `host.cpp` prints them.
+fn line(record: &Record, tree: &Bvh) -> String {
+    let t = record.t.to_bits();
+    if record.is_occlusion() || !record.is_hit() {
+        return format!("{t:08x} -1 -1 -1");
+    }
+    let geometry = tree
+        .geometries
+        .iter()
+        .find(|g| (g.first_triangle..g.first_triangle + g.triangle_count).contains(&record.triangle));
+    let geometry = geometry.expect("a triangle of a geometry");
+    let primitive = (record.triangle - geometry.first_triangle) / (geometry.kind + 1);
+    format!("{t:08x} {} {primitive} {}", geometry.geometry as i32, geometry.instance as i32)
+}
+
+fn lines(output: &[u8]) -> Vec<String> {
+    String::from_utf8(output.to_vec()).unwrap().lines().map(str::to_owned).collect()
+}
+
+/// What the host prints when nobody records it.
+fn unrecorded(what: &str) -> Vec<u8> {
+    Command::new(host()).arg(what).output().unwrap().stdout
+}
+
+/// The program sees what it saw before, and that is recorded, in every form of a query and over every kind of tree.
+#[test]
+fn what_a_program_sees_is_recorded() {
+    for what in ["plain", "robust", "splits", "packets", "streams", "coherent", "instances", "commits"] {
+        let run = Run::of_host(&[], what);
+        assert!(run.output.stdout == unrecorded(what), "{what}");
+        let (queries, unchecked) = run.replayed();
+        assert!(queries > 5000 && unchecked == 0, "{what}");
+        let seen = run.seen();
+        assert_eq!(seen.len(), 1, "{what}");
+        // A thread's chunks are by scene, so several scenes are not in the order of time; here each comes after the last.
+        assert!(seen[&0] == lines(&run.output.stdout), "{what}");
+    }
+}
+
+/// Candidates that filters reject are recorded with their queries: without them the replay would hit them.
+#[test]
+fn rejects_of_filters() {
+    for what in ["filters", "context-filter", "stream-filters", "coherent-filters"] {
+        let run = Run::of_host(&[], what);
+        assert!(run.output.stdout == unrecorded(what), "{what}");
+        assert_eq!(run.replayed().1, 0, "{what}");
+        assert!(run.seen()[&0] == lines(&run.output.stdout), "{what}");
+        let file = run.rays();
+        let rays = Rays::parse(&file).unwrap();
+        let rejects: u32 = rays.chunks().iter().map(|chunk| chunk.rejects).sum();
+        assert!(rejects > 1000, "{what}: {rejects} rejects");
+        assert!(!run.said().contains("warning"), "{what}: {}", run.said());
+    }
+}
+
+/// Masks, disabled geometries, instances and commits are in the trees.
+#[test]
+fn scenes_are_as_committed() {
+    let run = Run::of_host(&["--format", "json"], "instances");
+    let trees = run.trees();
+    let tree = Bvh::parse(&trees[0]).unwrap();
+    let of = |instance: i32| -> Vec<(u32, u32, u32)> {
+        let geometries = tree.geometries.iter().filter(|geometry| geometry.instance as i32 == instance);
+        geometries.map(|geometry| (geometry.geometry, geometry.triangle_count, geometry.mask)).collect()
+    };
+    assert_eq!(of(-1), [(3, 2 * 13 * 13, u32::MAX), (5, 2 * 7 * 7, 0xA)]);
+    for instance in [6, 7, 8] {
+        assert_eq!(of(instance), [(0, 2 * 7 * 7, u32::MAX), (2, 2 * 6 * 6, u32::MAX)]);
+    }
+    assert!(tree.header.flags & bvh::flag::FLATTENED != 0 && tree.header.flags & bvh::flag::LIVE != 0);
+    let report: serde_json::Value = serde_json::from_str(&run.said()).unwrap();
+    assert_eq!((&report["records"], &report["scenes"][0]["instances"]), (&8000.into(), &3.into()));
+
+    let run = Run::of_host(&["--format", "json"], "commits");
+    let report: serde_json::Value = serde_json::from_str(&run.said()).unwrap();
+    let scenes = report["scenes"].as_array().unwrap();
+    let scene = |number: usize| {
+        let scene = &scenes[number];
+        [&scene["scene"], &scene["commit"], &scene["queries"], &scene["triangles"]]
+            .map(|v| v.as_u64().unwrap())
+    };
+    // Commits without a change are none.
+    assert_eq!(scenes.len(), 4);
+    assert_eq!([scene(0), scene(1)], [[1, 0, 2000, 436], [1, 1, 2000, 486]]);
+    assert_eq!([scene(2), scene(3)], [[1, 2, 2000, 388], [2, 0, 1000, 72]]);
+}
+
+/// Threads that come and go, more than there are slots, and a fork that ends without destructors.
+#[test]
+fn threads_and_forks() {
+    let run = Run::of_host(&[], "threads");
+    assert_eq!(run.replayed().0, 8 * 40 * 4000);
+    let first = Run::of_host(&[], "plain").seen()[&0].iter().step_by(2).cloned().collect::<Vec<_>>();
+    let seen = run.seen();
+    assert_eq!(seen.len(), 320);
+    assert!(seen.values().all(|lines| *lines == first));
+
+    let run = Run::new(&[], host(), &["fork"]);
+    assert_eq!(run.output.status.code(), Some(7), "the program's own exit code");
+    assert_eq!(run.replayed().0, 3 * 8000);
+    assert_eq!(run.seen().values().map(Vec::len).collect::<Vec<_>>(), [16_000, 8000]);
+}
+
+/// A killed program has lost nothing that it had seen.
+#[test]
+fn a_killed_program() {
+    let run = Run::new(&[], host(), &["kill"]);
+    assert_eq!(run.output.status.code(), Some(128 + 9));
+    assert!(run.said().contains("signal 9"), "{}", run.said());
+    assert_eq!(run.replayed().0, 8000);
+    assert!(run.seen()[&0] == lines(&run.output.stdout));
+    // Nothing is left beside the recording.
+    assert_eq!(std::fs::read_dir(run.directory.path()).unwrap().count(), 2);
+}
+
+/// Parts of a recording are those of the whole.
+#[test]
+fn parts_can_be_chosen() {
+    let whole = &Run::of_host(&[], "plain").seen()[&0];
+    let part = |options: &[&str]| {
+        let run = Run::of_host(options, "plain");
+        run.replayed();
+        run.seen().remove(&0).unwrap_or_default()
+    };
+    assert!(part(&["--skip", "100", "--limit", "50"]) == whole[100..150]);
+    let every: Vec<String> = whole.iter().step_by(10).cloned().collect();
+    assert!(part(&["--every", "10", "--purposes", "none"]) == every);
+    let occlusions: Vec<String> = whole.iter().skip(1).step_by(2).cloned().collect();
+    assert!(part(&["--filter", "kind=occlusion", "--compress"]) == occlusions);
+}
+
+/// What embree-trace was not given, or a program that asks nothing: one line.
+#[test]
+fn bad_input() {
+    let bad = |program: &str, arguments: &[&str], expected: &str| {
+        let run = Run::new(&[], Path::new(program), arguments);
+        assert_eq!(run.output.status.code(), Some(2), "{program}: {}", run.said());
+        assert!(run.said().lines().last().unwrap().contains(expected), "{program}: {}", run.said());
+    };
+    bad("./does-not-exist", &[], "cannot run ./does-not-exist");
+    bad("true", &[], "has not called a shared libembree3");
+    let failing = Run::new(&[], Path::new("false"), &[]);
+    assert_eq!(failing.output.status.code(), Some(1));
+    let same = Command::new(env!("CARGO_BIN_EXE_embree-trace"))
+        .args(["record", "--savetrace", "a", "a", "--", "true"])
+        .output()
+        .unwrap();
+    assert_eq!(same.status.code(), Some(2));
+}
+
+/// Scenes too large once flattened have no tree, and that is said; their queries stay.
+#[test]
+fn too_many_triangles() {
+    let run = Run::of_host(&["--max-triangles", "900"], "instances");
+    assert!(run.said().contains("946 triangles once its 3 instances are flattened"), "{}", run.said());
+    assert!(run.trees().is_empty());
+    let file = run.rays();
+    assert_eq!(Rays::parse(&file).unwrap().query_count(), 8000);
+}
+
+/// Our own renderer is such a program, too, and records by itself: both recordings are the same, but for what only it knows.
+#[test]
+fn our_own_renderer() {
+    let directory = tempfile::tempdir().unwrap();
+    let scene = directory.path().join("scene.obj");
+    let made = Command::new(env!("CARGO_BIN_EXE_make-scene"))
+        .args(["courtyard".as_ref(), scene.as_os_str()])
+        .args(["--detail", "1"])
+        .output();
+    assert!(made.unwrap().status.success());
+    let arguments = [
+        "--size",
+        "32x24",
+        "--threads",
+        "1",
+        "--packet",
+        "8",
+        "--quality",
+        "high",
+        "--savetrace",
+        "own.rays",
+        "own.bvh",
+    ];
+    let run = Run::new(
+        &[],
+        env!("CARGO_BIN_EXE_embree-trace").as_ref(),
+        &[&[scene.to_str().unwrap()], &arguments[..]].concat(),
+    );
+    assert!(run.output.status.success(), "{}", run.said());
+    run.replayed();
+    let own = MappedFile::open(&run.path("own.bvh")).unwrap();
+    let trees = run.trees();
+    let (own, ours) = (Bvh::parse(&own).unwrap(), Bvh::parse(&trees[0]).unwrap());
+    assert!((own.tree.nodes, own.tree.primitives) == (ours.tree.nodes, ours.tree.primitives));
+    assert!((own.geometries, own.header.fingerprint) == (ours.geometries, ours.header.fingerprint));
+    assert_eq!((own.header.flags, &own.header.producer), (ours.header.flags, &ours.header.producer));
+
+    let records = |path: &str| -> Vec<Record> {
+        let file = MappedFile::open(&run.path(path)).unwrap();
+        let rays = Rays::parse(&file).unwrap();
+        (0..rays.chunks().len()).flat_map(|chunk| rays.chunk(chunk).unwrap().records.into_owned()).collect()
+    };
+    let (own, ours) = (records("own.rays"), records("casts.rays"));
+    // Before it renders, it looks for a view, which it does not record.
+    let ours = &ours[ours.len() - own.len()..];
+    for (own, ours) in own.iter().zip(ours) {
+        let (path, depth, purpose, flags) = (own.path, own.depth, own.purpose, own.flags);
+        // Its coherent flag is a packet's, not a query's.
+        assert_eq!(flags & !flag::COHERENT, ours.flags & !flag::COHERENT);
+        assert_eq!(*own, Record { path, depth, purpose, flags, ..*ours });
+    }
+}
+
+/// Programs of Debian's `embree-tools`: the picture is the same, the replay agrees. What is no triangle is flagged.
+#[test]
+fn tutorials_of_embree() {
+    // Whether it rejects candidates, and whether it has other geometries.
+    let programs = [
+        ("triangle_geometry", false, false),
+        ("instanced_geometry", false, false),
+        ("intersection_filter", true, false),
+        ("interpolation", false, true),
+        ("curve_geometry", false, true),
+        ("motion_blur_geometry", false, true),
+        ("user_geometry", false, true),
+    ];
+    for (program, rejects, others) in programs {
+        let picture =
+            |name: &str| vec!["--size".to_owned(), "64".into(), "64".into(), "-o".into(), name.to_owned()];
+        let arguments = picture("recorded.ppm");
+        let run =
+            Run::new(&[], Path::new(program), &arguments.iter().map(String::as_str).collect::<Vec<_>>());
+        assert!(
+            run.output.status.success(),
+            "{program} (package embree-tools, see tools/setup): {}",
+            run.said()
+        );
+        let plain = Command::new(program)
+            .args(picture("plain.ppm"))
+            .current_dir(run.directory.path())
+            .output()
+            .unwrap();
+        assert!(plain.status.success(), "{program}");
+        let bytes = |name: &str| std::fs::read(run.path(name)).unwrap();
+        assert!(bytes("recorded.ppm") == bytes("plain.ppm"), "{program}: another picture");
+
+        let (queries, unchecked) = run.replayed();
+        assert!(queries >= 64 * 64, "{program}: {queries}");
+        assert_eq!(unchecked > 0, others, "{program}");
+        assert_eq!(run.said().contains("left out of the tree"), others, "{program}: {}", run.said());
+        let (mut cameras, mut rejected) = (0, 0);
+        let file = run.rays();
+        let rays = Rays::parse(&file).unwrap();
+        for chunk in 0..rays.chunks().len() {
+            let chunk = rays.chunk(chunk).unwrap();
+            cameras += chunk.records.iter().filter(|r| r.purpose == Purpose::Camera as u8).count();
+            rejected += chunk.records.iter().filter(|r| r.flags & flag::HAS_REJECTS != 0).count();
+        }
+        assert!(cameras >= 64 * 64, "{program}: {cameras}");
+        assert_eq!(rejected > 0, rejects, "{program}");
+    }
+}
+
+/// Debian's Open3D loads Embree privately (RTLD_LOCAL), and asks with a mask that sees nothing: its caster misses everything.
+/// The recording shows why (docs/recording.md).
+#[test]
+fn the_mask_of_open3d() {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/preload_support/open3d_sphere.py");
+    let run = Run::new(&[], Path::new("/usr/bin/python3"), &[script.to_str().unwrap()]);
+    assert!(run.output.status.success(), "python3-open3d and python3-numpy, see tools/setup: {}", run.said());
+    assert_eq!(String::from_utf8_lossy(&run.output.stdout), "0 of 4096 rays hit\n");
+    assert_eq!(run.replayed(), (4096, 0));
+
+    let (file, trees) = (run.rays(), run.trees());
+    let rays = Rays::parse(&file).unwrap();
+    let tree = Bvh::parse(&trees[0]).unwrap();
+    let mut hits = 0;
+    for chunk in 0..rays.chunks().len() {
+        for record in rays.chunk(chunk).unwrap().records.iter() {
+            assert_eq!(record.mask, 0);
+            hits += u64::from(tree.triangles.iter().any(|triangle| passes(record, triangle)));
+        }
+    }
+    // What passes a unit sphere from a distance of 3, through a square of side 1 at a distance of 1: tan(asin(1/3)) = 0.3536.
+    assert!((1550..1620).contains(&hits), "{hits}");
+}
+
+/// Whether the ray's line passes the triangle, in double precision.
+fn passes(record: &Record, triangle: &Triangle) -> bool {
+    let (o, d) = (record.origin.as_dvec3(), record.direction.as_dvec3());
+    let [a, b, c] = triangle.0.map(|vertex| vertex.as_dvec3() - o);
+    let signs = [a.cross(b).dot(d), b.cross(c).dot(d), c.cross(a).dot(d)];
+    signs.iter().all(|&s| s >= 0.0) || signs.iter().all(|&s| s <= 0.0)
+}

@@ -1,0 +1,356 @@
+// A program that uses Embree in every way that the preload library decorates, for tests/preload.rs: it prints what Embree
+// answered, one line per query, and knows nothing of being recorded.
+#include <embree3/rtcore.h>
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace {
+
+RTCDevice device;
+
+struct Vertex {
+  float unused;
+  float position[3];
+};
+
+// A grid of n x n squares in the plane z, each of two triangles or one quad, in memory of the caller's.
+struct Grid {
+  std::vector<Vertex> vertices;
+  std::vector<std::uint32_t> indices;
+
+  Grid(int n, float z, bool quads) {
+    for (int y = 0; y <= n; y++) {
+      for (int x = 0; x <= n; x++) vertices.push_back({-1, {float(x) / n, float(y) / n, z + 0.1f * float((x * y) % 3)}});
+    }
+    for (unsigned y = 0; y < unsigned(n); y++) {
+      for (unsigned x = 0; x < unsigned(n); x++) {
+        const unsigned a = y * (n + 1) + x, b = a + 1, c = b + n + 1, d = a + n + 1;
+        if (quads) {
+          indices.insert(indices.end(), {a, b, c, d});
+        } else {
+          // With a number in front of each triangle: indices have a stride, too.
+          indices.insert(indices.end(), {7, a, b, c, 7, a, c, d});
+        }
+      }
+    }
+    // Embree reads 16 bytes from a vertex on.
+    vertices.push_back({});
+  }
+};
+
+RTCGeometry triangles(const Grid& grid) {
+  RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
+  rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, grid.vertices.data(), 4, sizeof(Vertex),
+                             grid.vertices.size() - 1);
+  rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, grid.indices.data(), 4, 16,
+                             grid.indices.size() / 4);
+  rtcCommitGeometry(geometry);
+  return geometry;
+}
+
+RTCGeometry quads(const Grid& grid) {
+  RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_QUAD);
+  const std::size_t count = grid.vertices.size() - 1;
+  auto* vertices = static_cast<float*>(
+      rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 3 * sizeof(float), count));
+  for (std::size_t vertex = 0; vertex < count; vertex++) std::memcpy(vertices + 3 * vertex, grid.vertices[vertex].position, 12);
+  // A buffer of its own, with something in front.
+  RTCBuffer buffer = rtcNewBuffer(device, 16 + 4 * grid.indices.size());
+  std::memcpy(static_cast<char*>(rtcGetBufferData(buffer)) + 16, grid.indices.data(), 4 * grid.indices.size());
+  rtcSetGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT4, buffer, 16, 16, grid.indices.size() / 4);
+  rtcReleaseBuffer(buffer);
+  rtcCommitGeometry(geometry);
+  return geometry;
+}
+
+// Instances an x-turned, scaled and moved scene.
+RTCGeometry instance(RTCScene scene, float x, float scale) {
+  RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_INSTANCE);
+  rtcSetGeometryInstancedScene(geometry, scene);
+  const float transform[12] = {scale, 0.1f, 0, x, 0, 0.8f * scale, -0.6f * scale, 0.2f, 0, 0.6f * scale, 0.8f * scale, 0.5f};
+  rtcSetGeometryTransform(geometry, 0, RTC_FORMAT_FLOAT3X4_ROW_MAJOR, transform);
+  rtcCommitGeometry(geometry);
+  return geometry;
+}
+
+void attach(RTCScene scene, RTCGeometry geometry, unsigned id) {
+  rtcAttachGeometryByID(scene, geometry, id);
+  rtcReleaseGeometry(geometry);
+}
+
+// Rejects primitives whose number divides by three.
+void reject_thirds(const RTCFilterFunctionNArguments* arguments) {
+  for (unsigned lane = 0; lane < arguments->N; lane++) {
+    if (arguments->valid[lane] == -1 && RTCHitN_primID(arguments->hit, arguments->N, lane) % 3 == 0) arguments->valid[lane] = 0;
+  }
+}
+
+void reject_fourths(const RTCFilterFunctionNArguments* arguments) {
+  for (unsigned lane = 0; lane < arguments->N; lane++) {
+    if (arguments->valid[lane] == -1 && RTCHitN_primID(arguments->hit, arguments->N, lane) % 4 == 0) arguments->valid[lane] = 0;
+  }
+}
+
+float random_number() {
+  static std::uint32_t state = 1;
+  state = state * 1664525u + 1013904223u;
+  return float(state >> 8) / float(1 << 24);
+}
+
+RTCRayHit random_ray(bool origin_low) {
+  RTCRayHit ray{};
+  ray.ray.org_x = random_number() * 3 - 1;
+  ray.ray.org_y = random_number();
+  ray.ray.org_z = origin_low ? -1 : 3;
+  ray.ray.dir_x = random_number() - 0.5f;
+  ray.ray.dir_y = random_number() - 0.5f;
+  ray.ray.dir_z = origin_low ? 1 : -1;
+  ray.ray.tfar = random_number() < 0.5f ? INFINITY : 3 * random_number();
+  ray.ray.mask = random_number() < 0.5f ? 0xFFFFFFFFu : 6u;
+  ray.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+  ray.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+  return ray;
+}
+
+void print(float t, unsigned geometry, unsigned primitive, unsigned instance) {
+  std::uint32_t bits;
+  std::memcpy(&bits, &t, sizeof bits);
+  std::printf("%08x %d %d %d\n", bits, int(geometry), int(geometry == RTC_INVALID_GEOMETRY_ID ? -1 : primitive), int(instance));
+}
+
+void print(const RTCRayHit& ray) {
+  const bool hit = ray.hit.geomID != RTC_INVALID_GEOMETRY_ID;
+  print(hit ? ray.ray.tfar : INFINITY, ray.hit.geomID, ray.hit.primID, hit ? ray.hit.instID[0] : RTC_INVALID_GEOMETRY_ID);
+}
+
+void print(const RTCRay& ray) { print(ray.tfar == -INFINITY ? -INFINITY : INFINITY, -1, -1, -1); }
+
+template <unsigned width, typename Packet, typename Ask, typename AskOccluded>
+void packets(RTCScene scene, RTCIntersectContext* context, std::vector<RTCRayHit> rays, Ask ask, AskOccluded ask_occluded) {
+  for (std::size_t first = 0; first + width <= rays.size(); first += width) {
+    alignas(64) int valid[width];
+    Packet packet, occluded;
+    auto* words = reinterpret_cast<std::uint32_t*>(&packet);
+    for (unsigned lane = 0; lane < width; lane++) {
+      // Each eleventh lane is switched off.
+      valid[lane] = (first + lane) % 11 == 10 ? 0 : -1;
+      for (unsigned field = 0; field < 20; field++) {
+        std::memcpy(&words[field * width + lane], reinterpret_cast<const char*>(&rays[first + lane]) + 4 * field, 4);
+      }
+    }
+    occluded = packet;
+    ask(valid, scene, context, &packet);
+    ask_occluded(valid, scene, context, &occluded.ray);
+    for (unsigned lane = 0; lane < width; lane++) {
+      if (valid[lane] != 0) {
+        print(packet.hit.geomID[lane] == RTC_INVALID_GEOMETRY_ID ? INFINITY : packet.ray.tfar[lane], packet.hit.geomID[lane],
+              packet.hit.primID[lane], packet.hit.geomID[lane] == RTC_INVALID_GEOMETRY_ID ? -1u : packet.hit.instID[0][lane]);
+      }
+    }
+    for (unsigned lane = 0; lane < width; lane++) {
+      if (valid[lane] != 0) print(occluded.ray.tfar[lane] == -INFINITY ? -INFINITY : INFINITY, -1, -1, -1);
+    }
+  }
+}
+
+void single(RTCScene scene, RTCIntersectContext* context, const std::vector<RTCRayHit>& rays) {
+  for (RTCRayHit ray : rays) {
+    RTCRay occluded = ray.ray;
+    rtcIntersect1(scene, context, &ray);
+    print(ray);
+    rtcOccluded1(scene, context, &occluded);
+    print(occluded);
+  }
+}
+
+void streams(RTCScene scene, RTCIntersectContext* context, const std::vector<RTCRayHit>& rays) {
+  const auto count = unsigned(rays.size());
+  {
+    std::vector<RTCRayHit> asked = rays;
+    rtcIntersect1M(scene, context, asked.data(), count, sizeof(RTCRayHit));
+    for (const RTCRayHit& ray : asked) print(ray);
+    asked = rays;
+    rtcOccluded1M(scene, context, &asked[0].ray, count, sizeof(RTCRayHit));
+    for (const RTCRayHit& ray : asked) print(ray.ray);
+  }
+  {
+    std::vector<RTCRayHit> asked = rays;
+    std::vector<RTCRayHit*> pointers;
+    std::vector<RTCRay*> occluded_pointers;
+    for (RTCRayHit& ray : asked) pointers.push_back(&ray), occluded_pointers.push_back(&ray.ray);
+    rtcIntersect1Mp(scene, context, pointers.data(), count);
+    for (const RTCRayHit& ray : asked) print(ray);
+    asked = rays;
+    rtcOccluded1Mp(scene, context, occluded_pointers.data(), count);
+    for (const RTCRayHit& ray : asked) print(ray.ray);
+  }
+  const auto word = [&](std::size_t ray, unsigned field) {
+    float word;
+    std::memcpy(&word, reinterpret_cast<const char*>(&rays[ray]) + 4 * field, 4);
+    return word;
+  };
+  {
+    // Packets of four, one behind the other.
+    std::vector<RTCRayHit4> asked(count / 4);
+    for (std::size_t ray = 0; ray < asked.size() * 4; ray++) {
+      for (unsigned field = 0; field < 20; field++) {
+        reinterpret_cast<float*>(&asked[ray / 4])[field * 4 + ray % 4] = word(ray, field);
+      }
+    }
+    auto occluded = asked;
+    rtcIntersectNM(scene, context, reinterpret_cast<RTCRayHitN*>(asked.data()), 4, unsigned(asked.size()), sizeof(RTCRayHit4));
+    for (const RTCRayHit4& packet : asked) {
+      for (int lane = 0; lane < 4; lane++) {
+        const bool hit = packet.hit.geomID[lane] != RTC_INVALID_GEOMETRY_ID;
+        print(hit ? packet.ray.tfar[lane] : INFINITY, packet.hit.geomID[lane], packet.hit.primID[lane],
+              hit ? packet.hit.instID[0][lane] : -1u);
+      }
+    }
+    rtcOccludedNM(scene, context, reinterpret_cast<RTCRayN*>(occluded.data()), 4, unsigned(occluded.size()), sizeof(RTCRayHit4));
+    for (const RTCRayHit4& packet : occluded) {
+      for (int lane = 0; lane < 4; lane++) print(packet.ray.tfar[lane] == -INFINITY ? -INFINITY : INFINITY, -1, -1, -1);
+    }
+  }
+  {
+    std::vector<std::vector<float>> fields(20, std::vector<float>(count));
+    for (std::size_t ray = 0; ray < count; ray++) {
+      for (unsigned field = 0; field < 20; field++) fields[field][ray] = word(ray, field);
+    }
+    RTCRayHitNp pointers;
+    for (unsigned field = 0; field < 20; field++) {
+      float* start = fields[field].data();
+      std::memcpy(reinterpret_cast<char*>(&pointers) + sizeof start * field, &start, sizeof start);
+    }
+    rtcIntersectNp(scene, context, &pointers, count);
+    for (std::size_t ray = 0; ray < count; ray++) {
+      const bool hit = pointers.hit.geomID[ray] != RTC_INVALID_GEOMETRY_ID;
+      print(hit ? pointers.ray.tfar[ray] : INFINITY, pointers.hit.geomID[ray], pointers.hit.primID[ray],
+            hit ? pointers.hit.instID[0][ray] : -1u);
+    }
+    for (std::size_t ray = 0; ray < count; ray++) fields[8][ray] = word(ray, 8);
+    rtcOccludedNp(scene, context, &pointers.ray, count);
+    for (std::size_t ray = 0; ray < count; ray++) print(fields[8][ray] == -INFINITY ? -INFINITY : INFINITY, -1, -1, -1);
+  }
+}
+
+std::vector<RTCRayHit> random_rays(unsigned count) {
+  std::vector<RTCRayHit> rays;
+  for (unsigned ray = 0; ray < count; ray++) rays.push_back(random_ray(ray % 2 == 0));
+  return rays;
+}
+
+}  // namespace
+
+int main(int, char** arguments) {
+  const std::string what = arguments[1];
+  device = rtcNewDevice(nullptr);
+  const Grid floor(13, 0, false), wall(7, 0.7f, true), hidden(5, 0.4f, false), small(6, 0, false);
+
+  RTCScene child = rtcNewScene(device);
+  attach(child, triangles(small), 2);
+  attach(child, quads(wall), 0);
+  rtcCommitScene(child);
+
+  RTCScene scene = rtcNewScene(device);
+  if (what == "robust") rtcSetSceneFlags(scene, RTC_SCENE_FLAG_ROBUST);
+  if (what == "context-filter") rtcSetSceneFlags(scene, RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION);
+  if (what == "splits") rtcSetSceneBuildQuality(scene, RTC_BUILD_QUALITY_HIGH);
+  RTCGeometry ground = triangles(floor);
+  rtcRetainGeometry(ground);
+  attach(scene, ground, 3);
+  RTCGeometry upper = quads(wall);
+  rtcSetGeometryMask(upper, 0xA);
+  if (what.find("filters") != std::string::npos) {
+    rtcSetGeometryIntersectFilterFunction(ground, reject_thirds);
+    rtcSetGeometryOccludedFilterFunction(ground, reject_thirds);
+    rtcSetGeometryIntersectFilterFunction(upper, reject_fourths);
+    rtcSetGeometryOccludedFilterFunction(upper, reject_fourths);
+    rtcCommitGeometry(ground);
+  }
+  rtcCommitGeometry(upper);
+  attach(scene, upper, 5);
+  RTCGeometry off = triangles(hidden);
+  rtcDisableGeometry(off);
+  attach(scene, off, 0);
+  if (what == "instances") {
+    attach(scene, instance(child, -0.9f, 0.8f), 8);
+    attach(scene, instance(child, 1.1f, 0.7f), 6);
+    attach(scene, instance(child, 0.3f, 0.4f), 7);
+  }
+  // It lives on in its instances.
+  rtcReleaseScene(child);
+  rtcCommitScene(scene);
+
+  RTCIntersectContext context;
+  rtcInitIntersectContext(&context);
+  if (what == "coherent") context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+  if (what == "coherent-filters") context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+  if (what == "context-filter") context.filter = reject_thirds;
+
+  const auto rays = random_rays(4000);
+  if (what == "packets") {
+    packets<4, RTCRayHit4>(scene, &context, rays, rtcIntersect4, rtcOccluded4);
+    packets<8, RTCRayHit8>(scene, &context, rays, rtcIntersect8, rtcOccluded8);
+    packets<16, RTCRayHit16>(scene, &context, rays, rtcIntersect16, rtcOccluded16);
+  } else if (what == "streams" || what == "coherent" || what == "stream-filters" || what == "coherent-filters") {
+    streams(scene, &context, rays);
+  } else if (what == "filters" || what == "context-filter") {
+    single(scene, &context, rays);
+    packets<4, RTCRayHit4>(scene, &context, rays, rtcIntersect4, rtcOccluded4);
+    packets<8, RTCRayHit8>(scene, &context, rays, rtcIntersect8, rtcOccluded8);
+  } else if (what == "commits") {
+    for (int round = 0; round < 3; round++) {
+      single(scene, &context, random_rays(500));
+      rtcCommitScene(scene);  // without a change
+      single(scene, &context, random_rays(500));
+      if (round == 0) rtcEnableGeometry(off);
+      if (round == 1) rtcDetachGeometry(scene, 5);
+      rtcCommitScene(scene);
+    }
+    rtcReleaseScene(scene);
+    scene = rtcNewScene(device);
+    attach(scene, triangles(small), 1);
+    rtcCommitScene(scene);
+    single(scene, &context, random_rays(500));
+  } else if (what == "threads") {
+    for (int round = 0; round < 40; round++) {
+      std::vector<std::thread> threads;
+      for (int number = 0; number < 8; number++) {
+        threads.emplace_back([&] {
+          RTCIntersectContext own = context;
+          for (RTCRayHit ray : rays) rtcIntersect1(scene, &own, &ray);
+        });
+      }
+      for (std::thread& thread : threads) thread.join();
+    }
+  } else if (what == "fork") {
+    single(scene, &context, rays);
+    std::fflush(stdout);
+    const pid_t forked = fork();
+    single(scene, &context, rays);
+    std::fflush(stdout);
+    if (forked == 0) _exit(0);
+    waitpid(forked, nullptr, 0);
+    _exit(7);
+  } else if (what == "kill") {
+    single(scene, &context, rays);
+    std::fflush(stdout);
+    kill(getpid(), SIGKILL);
+  } else {
+    single(scene, &context, rays);
+  }
+  rtcReleaseGeometry(ground);
+  rtcReleaseScene(scene);
+  rtcReleaseDevice(device);
+  return 0;
+}
