@@ -22,7 +22,7 @@ use embree_trace::optimize::{Stage, reinsertion};
 use embree_trace::progress::Progress;
 use embree_trace::random::Random;
 use embree_trace::recipe::{Heuristic, Recipe};
-use embree_trace::traverse::{All, Counts, Prepared, PreparedRay, Scratch, Traversal};
+use embree_trace::traverse::{All, Counts, OcclusionOrder, Prepared, PreparedRay, Scratch, Traversal};
 use embree_trace::tree::{Tree, collapse};
 use obvhs::BvhBuildParams;
 use peers::Peer;
@@ -71,7 +71,7 @@ fn open(path: &str) -> MappedFile {
 /// Whom a contender is compared with.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Side {
-    /// Our binary tree: the target is the fastest `BinaryPeer`.
+    /// Our binary tree, in any order of occlusion queries that needs no rays: the target is the fastest `BinaryPeer`.
     Binary,
     BinaryCounting,
     /// Our tree of eight: the target is `Embree`.
@@ -129,7 +129,16 @@ fn compare(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
     let mut contenders: Vec<(&str, Side, Runner)> = vec![
         ("ours ODF", Side::Binary, runner(Ours::<()>::new(&binary, odf))),
         ("ours ODF, counting", Side::BinaryCounting, runner(Ours::<Counts>::new(&binary, odf))),
-        ("ours ODF, farthest first", Side::Other, runner(Ours::<()>::farthest_first(&binary))),
+        (
+            "ours ODF, farthest first",
+            Side::Binary,
+            runner(Ours::<()>::in_order(&binary, OcclusionOrder::Farthest)),
+        ),
+        (
+            "ours ODF, in file order",
+            Side::Binary,
+            runner(Ours::<()>::in_order(&binary, OcclusionOrder::First)),
+        ),
         ("ours RayOrder", Side::Other, runner(Ours::<()>::new(&binary, ray_order))),
         ("ours ODF, obvhs medium tree", Side::Other, runner(Ours::<()>::new(&on_medium, odf))),
         ("ours ODF, obvhs slow tree", Side::Other, runner(Ours::<()>::new(&on_slow, odf))),
@@ -150,7 +159,16 @@ fn compare(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
         ("bvh", Side::BinaryPeer, runner(BvhCrateCaster::new(triangles))),
         ("ours ODF, 4 wide", Side::Other, runner(Ours::<()>::new(&four, odf))),
         ("ours ODF, 8 wide", Side::Eight, runner(Ours::<()>::new(&eight, odf))),
-        ("ours ODF, 8 wide, farthest", Side::Eight, runner(Ours::<()>::farthest_first(&eight))),
+        (
+            "ours ODF, 8 wide, farthest",
+            Side::Eight,
+            runner(Ours::<()>::in_order(&eight, OcclusionOrder::Farthest)),
+        ),
+        (
+            "ours ODF, 8 wide, file order",
+            Side::Eight,
+            runner(Ours::<()>::in_order(&eight, OcclusionOrder::First)),
+        ),
         ("ours RayOrder, 8 wide", Side::Other, runner(Ours::<()>::new(&eight, ray_order))),
     ];
     #[cfg(feature = "embree")]

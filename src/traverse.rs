@@ -15,6 +15,7 @@ pub mod form;
 pub mod groups;
 mod leaf;
 pub mod masks;
+mod memory;
 pub mod observer;
 mod odf;
 pub mod overlap;
@@ -98,7 +99,7 @@ enum Nodes {
 
 /// A tree made ready to be traversed.
 ///
-/// Takes 64 bytes per inner node of a binary tree, 128 per four or 256 per eight children of another, and 96 per primitive.
+/// Takes 64 bytes per inner node of a binary tree, 128 per four or 256 per eight children of another, and 48 per primitive.
 #[derive(Debug)]
 pub struct Prepared {
     nodes: Nodes,

@@ -39,9 +39,9 @@ impl<'a, O: Observer + Default> Ours<'a, O> {
         Ours { prepared, traversal, scratch: Scratch::default(), observer: O::default(), order: None }
     }
 
-    /// Depth first; occlusion queries visit the farthest child first.
-    pub fn farthest_first(prepared: &'a Prepared) -> Ours<'a, O> {
-        Ours { order: Some(OcclusionOrder::Farthest), ..Ours::new(prepared, Traversal::Odf) }
+    /// Depth first; occlusion queries visit children in `order`.
+    pub fn in_order(prepared: &'a Prepared, order: OcclusionOrder) -> Ours<'a, O> {
+        Ours { order: Some(order), ..Ours::new(prepared, Traversal::Odf) }
     }
 }
 

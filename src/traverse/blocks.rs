@@ -3,35 +3,42 @@
 //! A leaf's triangles lie side by side in slots, four slots to a block. Small leaves share a block, so that trees with one
 //! triangle a leaf waste no memory, but no leaf lies in more blocks than it must: one of up to four costs one test.
 //! A test answers for the lanes of one leaf; the bits are those of [`PreparedTriangle::intersect`], lane by lane.
+//!
+//! A block has all that is known of its triangles, in three cache lines side by side: edges and normals are computed anew in each test,
+//! which takes less time than waiting for a fourth line.
 
 use super::masks::Masks;
+use super::memory;
 use super::ray::PreparedRay;
 use super::simd::{F32x4, Machine};
-use super::triangle::{PreparedTriangle, cross, edges};
+use super::triangle::PreparedTriangle;
 use crate::geometry::{Triangle, Vec3};
 use crate::tree::TreeView;
 
 /// Triangles in a block.
 pub(super) const LANES: usize = 4;
 
-/// What the test needs of four triangles, by axis and lane: three cache lines. Empty lanes are zero, and hit by nothing.
+/// Cache lines of a block.
+pub(super) const LINES: usize = 3;
+
+/// Four triangles. Empty lanes are zero, and hit by nothing.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 struct Block {
-    vertex: [[f32; LANES]; 3],
-    /// First vertex minus second.
-    edge1: [[f32; LANES]; 3],
-    /// Third vertex minus first.
-    edge2: [[f32; LANES]; 3],
-    normal: [[f32; LANES]; 3],
+    /// By vertex, axis and lane.
+    vertices: [[[f32; LANES]; 3]; 3],
+    /// See [`PreparedTriangle::index`].
+    index: [u32; LANES],
+    /// See [`PreparedTriangle::mask`].
+    mask: [u32; LANES],
 }
+
+const _: () = assert!(size_of::<Block>() == 64 * LINES);
 
 /// All triangles of a tree, in leaf order.
 #[derive(Debug)]
 pub struct Blocks {
     blocks: Vec<Block>,
-    /// By slot.
-    triangles: Vec<PreparedTriangle>,
 }
 
 /// A ray as blocks are tested against it.
@@ -40,7 +47,6 @@ pub struct BlockRay {
     origin: [F32x4; 3],
     direction: [F32x4; 3],
     tnear: F32x4,
-    tfar: F32x4,
 }
 
 impl BlockRay {
@@ -50,9 +56,15 @@ impl BlockRay {
             origin: std::array::from_fn(|axis| F32x4::splat(ray.origin[axis])),
             direction: std::array::from_fn(|axis| F32x4::splat(ray.direction[axis])),
             tnear: F32x4::splat(ray.tnear),
-            tfar: F32x4::splat(ray.tfar),
         }
     }
+}
+
+#[inline(always)]
+fn cross<M: Machine>(a: [F32x4; 3], b: [F32x4; 3]) -> [F32x4; 3] {
+    let minus = F32x4::splat(-0.0);
+    let minor = |a1: F32x4, b2, a2: F32x4, b1| M::mul_add(a1, b2, a2.mul(b1).flip(minus));
+    [minor(a[1], b[2], a[2], b[1]), minor(a[2], b[0], a[0], b[2]), minor(a[0], b[1], a[1], b[0])]
 }
 
 #[inline(always)]
@@ -62,15 +74,22 @@ fn dot<M: Machine>(a: [F32x4; 3], b: [F32x4; 3]) -> F32x4 {
 
 impl Block {
     #[inline(always)]
-    fn test<M: Machine>(&self, ray: &BlockRay) -> (u32, F32x4) {
+    fn vertices(&self) -> [[F32x4; 3]; 3] {
+        self.vertices.map(|vertex| vertex.map(F32x4::new))
+    }
+
+    /// [`PreparedTriangle::intersect`] but for the triangles' boxes, for hits up to `bound`: which lanes pass, as bits, and t times the
+    /// denominator, and the denominator, both positive.
+    #[inline(always)]
+    fn test<M: Machine>(&self, ray: &BlockRay, bound: f32) -> (u32, F32x4, F32x4) {
         let zero = F32x4::splat(0.0);
-        let minus = F32x4::splat(-0.0);
-        let [edge1, edge2, normal] = [self.edge1, self.edge2, self.normal].map(|rows| rows.map(F32x4::new));
-        let c: [F32x4; 3] = std::array::from_fn(|axis| F32x4::new(self.vertex[axis]).sub(ray.origin[axis]));
-        let d = ray.direction;
-        let minor = |a1: F32x4, b2, a2: F32x4, b1| M::mul_add(a1, b2, a2.mul(b1).flip(minus));
-        let r = [minor(c[1], d[2], c[2], d[1]), minor(c[2], d[0], c[0], d[2]), minor(c[0], d[1], c[1], d[0])];
-        let den = dot::<M>(normal, d);
+        let difference = |a: [F32x4; 3], b: [F32x4; 3]| std::array::from_fn(|axis| a[axis].sub(b[axis]));
+        let [v0, v1, v2] = self.vertices();
+        let (edge1, edge2) = (difference(v0, v1), difference(v2, v0));
+        let normal = cross::<M>(edge2, edge1);
+        let c = difference(v0, ray.origin);
+        let r = cross::<M>(c, ray.direction);
+        let den = dot::<M>(normal, ray.direction);
         let sign = den.signs();
         let den_abs = den.flip(sign);
         let u = dot::<M>(r, edge2).flip(sign);
@@ -78,9 +97,29 @@ impl Block {
         let t = dot::<M>(normal, c).flip(sign);
         // A denominator of zero fails one of the last two.
         let inside = zero.le(u).and(zero.le(v)).and(u.add(v).le(den_abs));
-        let within = den_abs.mul(ray.tnear).lt(t).and(t.le(den_abs.mul(ray.tfar)));
-        let mask = inside.and(within).bits();
-        (mask, if mask == 0 { zero } else { t.div(den_abs) })
+        let within = den_abs.mul(ray.tnear).lt(t).and(t.le(den_abs.mul(F32x4::splat(bound))));
+        (inside.and(within).bits(), t, den_abs)
+    }
+
+    /// [`PreparedTriangle::confirm`], lane by lane: which lanes pass, as bits, and at which t.
+    #[inline(always)]
+    fn confirm(&self, ray: &PreparedRay, t: F32x4) -> (u32, F32x4) {
+        let [v0, v1, v2] = self.vertices();
+        let (mut entry, mut exit) = (F32x4::splat(ray.tnear), F32x4::splat(ray.tfar));
+        for axis in 0..3 {
+            let origin = F32x4::splat(ray.origin[axis]);
+            let (near_inverse, far_inverse) =
+                (F32x4::splat(ray.near_inverse[axis]), F32x4::splat(ray.far_inverse[axis]));
+            let lower = v0[axis].min_or(v1[axis]).min_or(v2[axis]);
+            let upper = v0[axis].max_or(v1[axis]).max_or(v2[axis]);
+            let downwards = near_inverse.lt(F32x4::splat(0.0));
+            let (near, far) = (downwards.select(upper, lower), downwards.select(lower, upper));
+            entry = near.sub(origin).mul(near_inverse).max_or(entry);
+            exit = far.sub(origin).mul(far_inverse).min_or(exit);
+        }
+        let t = t.max_or(entry);
+        let finite = t.le(F32x4::splat(f32::MAX)).and(F32x4::splat(f32::MIN).le(t));
+        (entry.le(exit).and(finite).bits(), t.min_or(F32x4::splat(ray.tfar)))
     }
 }
 
@@ -96,57 +135,67 @@ impl Blocks {
             *slot = end as u32;
             end += node.len();
         }
-        let empty = Block {
-            vertex: [[0.0; LANES]; 3],
-            edge1: [[0.0; LANES]; 3],
-            edge2: [[0.0; LANES]; 3],
-            normal: [[0.0; LANES]; 3],
-        };
-        let nothing = PreparedTriangle { vertices: Triangle([Vec3::ZERO; 3]), index: 0, mask: 0 };
-        let mut made = Blocks { blocks: vec![empty; end.div_ceil(LANES)], triangles: vec![nothing; end] };
+        let empty = Block { vertices: [[[0.0; LANES]; 3]; 3], index: [0; LANES], mask: [0; LANES] };
+        let mut blocks = memory::with_capacity(end.div_ceil(LANES));
+        blocks.resize(end.div_ceil(LANES), empty);
         for (slot, node) in slots.iter().zip(tree.nodes).filter(|(_, node)| node.is_leaf()) {
             for (place, &index) in (*slot as usize..).zip(&tree.primitives[node.range()]) {
-                made.put(
-                    place,
-                    PreparedTriangle { vertices: triangles[index as usize], index, mask: masks.of(index) },
-                );
+                let (block, lane) = (&mut blocks[place / LANES], place % LANES);
+                for (rows, vertex) in block.vertices.iter_mut().zip(triangles[index as usize].0) {
+                    (0..3).for_each(|axis| rows[axis][lane] = vertex[axis]);
+                }
+                (block.index[lane], block.mask[lane]) = (index, masks.of(index));
             }
         }
-        (made, slots)
-    }
-
-    fn put(&mut self, slot: usize, triangle: PreparedTriangle) {
-        let block = &mut self.blocks[slot / LANES];
-        let (edge1, edge2) = edges(&triangle.vertices);
-        let rows = [triangle.vertices.0[0], edge1, edge2, cross(edge2, edge1)];
-        for (to, from) in
-            [&mut block.vertex, &mut block.edge1, &mut block.edge2, &mut block.normal].into_iter().zip(rows)
-        {
-            for axis in 0..3 {
-                to[axis][slot % LANES] = from[axis];
-            }
-        }
-        self.triangles[slot] = triangle;
+        (Blocks { blocks }, slots)
     }
 
     /// The triangle in a slot of some leaf.
     #[inline(always)]
-    pub fn triangle(&self, slot: usize) -> &PreparedTriangle {
-        &self.triangles[slot]
+    pub fn triangle(&self, slot: usize) -> PreparedTriangle {
+        let (block, lane) = (&self.blocks[slot / LANES], slot % LANES);
+        let vertex = |rows: &[[f32; LANES]; 3]| Vec3::new(rows[0][lane], rows[1][lane], rows[2][lane]);
+        let [v0, v1, v2] = &block.vertices;
+        PreparedTriangle {
+            vertices: Triangle([vertex(v0), vertex(v1), vertex(v2)]),
+            index: block.index[lane],
+            mask: block.mask[lane],
+        }
     }
 
     /// The triangles in `slots`.
     #[inline(always)]
-    pub fn triangles(&self, slots: std::ops::Range<usize>) -> &[PreparedTriangle] {
-        &self.triangles[slots]
+    pub fn triangles(
+        &self,
+        slots: std::ops::Range<usize>,
+    ) -> impl ExactSizeIterator<Item = PreparedTriangle> {
+        slots.map(|slot| self.triangle(slot))
     }
 
-    /// Of the lanes of `block` that `lanes` names: which the ray hits within its interval, as bits, and at which t; both
-    /// before the triangle's own box has been asked.
+    /// Of the lanes of `block` that `lanes` names: which the ray hits within its interval, as bits, and at which t. `bound` is the
+    /// interval's end, or less: hits behind it may be left out.
     #[inline(always)]
-    pub fn test<M: Machine>(&self, block: usize, lanes: u32, ray: &BlockRay) -> (u32, [f32; LANES]) {
-        let (mask, t) = self.blocks[block].test::<M>(ray);
-        (mask & lanes, t.to_array())
+    pub fn hits<M: Machine>(
+        &self,
+        block: usize,
+        lanes: u32,
+        ray: &PreparedRay,
+        block_ray: &BlockRay,
+        bound: f32,
+    ) -> (u32, [f32; LANES]) {
+        let block = &self.blocks[block];
+        let (mask, t, den) = block.test::<M>(block_ray, bound);
+        if mask & lanes == 0 {
+            return (0, [0.0; LANES]);
+        }
+        let (confirmed, t) = block.confirm(ray, t.div(den));
+        (mask & lanes & confirmed, t.to_array())
+    }
+
+    /// Where the block of a slot begins in memory.
+    #[inline(always)]
+    pub fn address(&self, slot: usize) -> *const u8 {
+        self.blocks.as_ptr().wrapping_add(slot / LANES).cast()
     }
 }
 
@@ -205,8 +254,9 @@ mod tests {
                 for (slot, &index) in (begins..).zip(&tree.primitives[node.range()]) {
                     let triangle = blocks.triangle(slot);
                     assert_eq!(triangle.index, index);
-                    let (mask, t) = blocks.test::<Any>(slot / LANES, 1 << (slot % LANES), &block_ray);
-                    let t = (mask != 0).then(|| t[slot % LANES]).and_then(|t| triangle.confirm(&ray, t));
+                    let (mask, t) =
+                        blocks.hits::<Any>(slot / LANES, 1 << (slot % LANES), &ray, &block_ray, ray.tfar);
+                    let t = (mask != 0).then(|| t[slot % LANES]);
                     let expected = triangle.intersect(&ray);
                     assert_eq!(t.map(f32::to_bits), expected.map(f32::to_bits), "{triangle:?} {ray:?}");
                     hits += u32::from(t.is_some());

@@ -31,7 +31,8 @@ pub trait ChildOrder {
     /// Whether `a` is visited before `b`; both are children of `parent` that the ray overlaps.
     fn precedes(&self, parent: &Link, a: &Link, b: &Link) -> bool;
 
-    /// The child visited first, if any is overlapped; the others go onto the stack, the last of them first.
+    /// The child visited first, if any is overlapped; the others go onto the stack, the last of them first. `found`
+    /// is called with each.
     #[inline(always)]
     fn enter<M: Machine, F: Form<M>>(
         &self,
@@ -39,20 +40,38 @@ pub trait ChildOrder {
         parent: &Link,
         ray: &F::Ray,
         tfar: f32,
+        found: impl Fn(&Link),
         stack: &mut Stack,
     ) -> Option<Link> {
-        let before = stack.len();
-        form.each(parent, ray, tfar, |link| stack.push(link));
-        let pushed = stack.above(before);
-        for end in 1..pushed.len() {
-            let mut place = end;
-            while place > 0 && self.precedes(parent, &pushed[place - 1], &pushed[place]) {
-                pushed.swap(place - 1, place);
-                place -= 1;
-            }
-        }
-        if stack.len() > before { stack.pop() } else { None }
+        entered(self, form, parent, ray, tfar, found, stack)
     }
+}
+
+/// [`ChildOrder::enter`] by sorting.
+#[inline(always)]
+fn entered<M: Machine, F: Form<M>>(
+    order: &(impl ChildOrder + ?Sized),
+    form: &F,
+    parent: &Link,
+    ray: &F::Ray,
+    tfar: f32,
+    found: impl Fn(&Link),
+    stack: &mut Stack,
+) -> Option<Link> {
+    let before = stack.len();
+    form.each(parent, ray, tfar, |link| {
+        found(&link);
+        stack.push(link);
+    });
+    let pushed = stack.above(before);
+    for end in 1..pushed.len() {
+        let mut place = end;
+        while place > 0 && order.precedes(parent, &pushed[place - 1], &pushed[place]) {
+            pushed.swap(place - 1, place);
+            place -= 1;
+        }
+    }
+    if stack.len() > before { stack.pop() } else { None }
 }
 
 /// Rule [`rule::NEAREST`] for every node.
@@ -72,9 +91,10 @@ impl ChildOrder for NearestFirst {
         parent: &Link,
         ray: &F::Ray,
         tfar: f32,
+        found: impl Fn(&Link),
         stack: &mut Stack,
     ) -> Option<Link> {
-        form.nearest(parent, ray, tfar, stack)
+        form.nearest(parent, ray, tfar, found, stack)
     }
 }
 
@@ -91,6 +111,23 @@ impl<const RULE: u8> ChildOrder for Always<RULE> {
     #[inline(always)]
     fn precedes(&self, _parent: &Link, a: &Link, b: &Link) -> bool {
         by_rule(RULE, a, b)
+    }
+
+    #[inline(always)]
+    fn enter<M: Machine, F: Form<M>>(
+        &self,
+        form: &F,
+        parent: &Link,
+        ray: &F::Ray,
+        tfar: f32,
+        found: impl Fn(&Link),
+        stack: &mut Stack,
+    ) -> Option<Link> {
+        if RULE == rule::FIRST {
+            form.first(parent, ray, tfar, found, stack)
+        } else {
+            entered(self, form, parent, ray, tfar, found, stack)
+        }
     }
 }
 

@@ -124,9 +124,30 @@ pub trait Form<M: Machine> {
 
     fn ray(ray: &PreparedRay) -> Self::Ray;
 
+    /// Where what is below an inner node begins in memory.
+    fn address(&self, parent: &Link) -> *const u8;
+
     /// Calls `found` with each child of the inner node `parent` that the ray overlaps within [tnear, `tfar`].
     fn each(&self, parent: &Link, ray: &Self::Ray, tfar: f32, found: impl FnMut(Link));
 
-    /// The child entered first, if any is overlapped; the others go onto the stack, the last of them first.
-    fn nearest(&self, parent: &Link, ray: &Self::Ray, tfar: f32, stack: &mut Stack) -> Option<Link>;
+    /// The child entered first, if any is overlapped; the others go onto the stack, the last of them first. `found` is called with
+    /// each, as soon as it is known.
+    fn nearest(
+        &self,
+        parent: &Link,
+        ray: &Self::Ray,
+        tfar: f32,
+        found: impl Fn(&Link),
+        stack: &mut Stack,
+    ) -> Option<Link>;
+
+    /// As [`Self::nearest`], in the order of the file.
+    fn first(
+        &self,
+        parent: &Link,
+        ray: &Self::Ray,
+        tfar: f32,
+        found: impl Fn(&Link),
+        stack: &mut Stack,
+    ) -> Option<Link>;
 }

@@ -2,6 +2,7 @@
 //! group. A node with more children than a group holds has several.
 
 use super::form::{Below, Form, Link, Stack};
+use super::memory;
 use super::ray::PreparedRay;
 use super::simd::{Lanes, Supports};
 use crate::tree::TreeView;
@@ -38,8 +39,8 @@ impl<const N: usize> Groups<N> {
             Below { first, count: node.count }
         });
         let below: Vec<Below> = below.collect();
-        let mut groups = Vec::with_capacity(total as usize);
-        let mut child = Vec::with_capacity(total as usize);
+        let mut groups = memory::with_capacity(total as usize);
+        let mut child = memory::with_capacity(total as usize);
         for node in tree.nodes.iter().filter(|node| !node.is_leaf()) {
             for first in node.range().step_by(N) {
                 let children = first..node.range().end.min(first + N);
@@ -116,6 +117,11 @@ impl<M: Supports<N>, const N: usize> Form<M> for Groups<N> {
     }
 
     #[inline(always)]
+    fn address(&self, parent: &Link) -> *const u8 {
+        self.groups.as_ptr().wrapping_add(parent.first as usize).cast()
+    }
+
+    #[inline(always)]
     fn each(&self, parent: &Link, ray: &GroupRay<M::Vector>, tfar: f32, mut found: impl FnMut(Link)) {
         let groups = parent.first as usize..;
         for (index, children) in groups.zip((1..=parent.count as usize).rev().step_by(N)) {
@@ -135,6 +141,7 @@ impl<M: Supports<N>, const N: usize> Form<M> for Groups<N> {
         parent: &Link,
         ray: &GroupRay<M::Vector>,
         tfar: f32,
+        found: impl Fn(&Link),
         stack: &mut Stack,
     ) -> Option<Link> {
         let (index, children) = (parent.first as usize, parent.count as usize);
@@ -149,7 +156,11 @@ impl<M: Supports<N>, const N: usize> Form<M> for Groups<N> {
             return None;
         }
         let (entries, child) = (entry.to_array(), self.child[index]);
-        let link = |lane: usize| Link::to(child + lane as u32, group.below[lane], entries[lane]);
+        let link = |lane: usize| {
+            let link = Link::to(child + lane as u32, group.below[lane], entries[lane]);
+            found(&link);
+            link
+        };
         let first = link(next_lane::<N>(&mut mask));
         if mask == 0 {
             return Some(first);
@@ -170,5 +181,32 @@ impl<M: Supports<N>, const N: usize> Form<M> for Groups<N> {
             }
         }
         Some(nearest)
+    }
+
+    #[inline(always)]
+    fn first(
+        &self,
+        parent: &Link,
+        ray: &GroupRay<M::Vector>,
+        tfar: f32,
+        found: impl Fn(&Link),
+        stack: &mut Stack,
+    ) -> Option<Link> {
+        let before = stack.len();
+        let count = parent.count as usize;
+        let groups = parent.first as usize..parent.first as usize + count.div_ceil(N);
+        for (index, start) in groups.zip((0..count).step_by(N)).rev() {
+            let group = &self.groups[index];
+            let (mut mask, entry) = group.test(count - start, ray, tfar);
+            let entries = entry.to_array();
+            while mask != 0 {
+                let lane = mask.ilog2() as usize % N;
+                mask &= !(1 << lane);
+                let link = Link::to(self.child[index] + lane as u32, group.below[lane], entries[lane]);
+                found(&link);
+                stack.push(link);
+            }
+        }
+        if stack.len() > before { stack.pop() } else { None }
     }
 }

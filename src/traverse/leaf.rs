@@ -7,7 +7,6 @@ use super::form::Link;
 use super::observer::Observer;
 use super::ray::PreparedRay;
 use super::simd::Machine;
-use super::triangle::PreparedTriangle;
 use crate::format::rays::NO_TRIANGLE;
 
 /// The best hit so far, or the end of the ray.
@@ -15,12 +14,15 @@ use crate::format::rays::NO_TRIANGLE;
 pub(super) struct Best {
     pub t: f32,
     pub triangle: u32,
+    /// No triangle hit behind this, by its plane's distance, is a better one: the number after `t`, as one at the same t may be, and at
+    /// most the ray's end.
+    bound: f32,
 }
 
 impl Best {
     #[inline(always)]
     pub fn end_of(ray: &PreparedRay) -> Best {
-        Best { t: ray.tfar, triangle: NO_TRIANGLE }
+        Best { t: ray.tfar, triangle: NO_TRIANGLE, bound: ray.tfar }
     }
 
     #[inline(always)]
@@ -54,12 +56,12 @@ pub(super) fn test<const ANY: bool, M: Machine>(
         let block = first / LANES;
         let end = slots.end.min((block + 1) * LANES);
         let lanes = ((1u32 << (end - first)) - 1) << (first % LANES);
-        let (mut mask, distances) = blocks.test::<M>(block, lanes, block_ray);
+        let (mut mask, distances) = blocks.hits::<M>(block, lanes, ray, block_ray, best.bound);
         while mask != 0 {
             let lane = mask.trailing_zeros() as usize % LANES;
             mask &= mask - 1;
             let slot = block * LANES + lane;
-            if hit(blocks.triangle(slot), distances[lane], leaf.entry, ray, candidates, best) && ANY {
+            if hit(blocks, slot, distances[lane], leaf.entry, candidates, best) && ANY {
                 observer.primitives(blocks.triangles(first..slot + 1));
                 return true;
             }
@@ -70,27 +72,26 @@ pub(super) fn test<const ANY: bool, M: Machine>(
     false
 }
 
-/// The part that few triangles reach: whether the hit at `t` counts, and is the best so far.
+/// Whether the hit at `t` counts and is the best so far, which it then becomes.
 #[inline(always)]
 fn hit(
-    triangle: &PreparedTriangle,
-    t: f32,
+    blocks: &Blocks,
+    slot: usize,
+    mut t: f32,
     entry: f32,
-    ray: &PreparedRay,
     candidates: &impl Candidates,
     best: &mut Best,
 ) -> bool {
-    // What follows never makes t smaller, so most can be left out here. (NaN, from an overflow, goes on.)
-    if t.min(ray.tfar) > best.t {
-        return false;
-    }
-    let Some(mut t) = triangle.confirm(ray, t) else { return false };
     if t < entry && t >= entry * (1.0 - SNAP) {
         t = entry;
     }
-    let better = t < best.t || (t == best.t && triangle.index < best.triangle);
-    if better && candidates.accepts(triangle) {
-        *best = Best { t, triangle: triangle.index };
+    if t > best.t {
+        return false;
+    }
+    let triangle = blocks.triangle(slot);
+    let better = t < best.t || triangle.index < best.triangle;
+    if better && candidates.accepts(&triangle) {
+        *best = Best { t, triangle: triangle.index, bound: t.next_up().min(best.bound) };
         return true;
     }
     false

@@ -23,16 +23,16 @@ pub trait Observer {
 
     /// These triangles are tested, in this order.
     #[inline(always)]
-    fn primitives(&mut self, triangles: &[PreparedTriangle]) {
+    fn primitives(&mut self, triangles: impl ExactSizeIterator<Item = PreparedTriangle>) {
         for triangle in triangles {
-            self.primitive(triangle);
+            self.primitive(&triangle);
         }
     }
 }
 
 impl Observer for () {
     #[inline(always)]
-    fn primitives(&mut self, _triangles: &[PreparedTriangle]) {}
+    fn primitives(&mut self, _triangles: impl ExactSizeIterator<Item = PreparedTriangle>) {}
 }
 
 /// What a query cost, in the words of the design.
@@ -58,7 +58,7 @@ impl Observer for Counts {
     }
 
     #[inline(always)]
-    fn primitives(&mut self, triangles: &[PreparedTriangle]) {
+    fn primitives(&mut self, triangles: impl ExactSizeIterator<Item = PreparedTriangle>) {
         self.primitive_tests += triangles.len() as u64;
     }
 }

@@ -8,7 +8,7 @@ use super::form::{Form, Link, Stack};
 use super::leaf::{self, Best};
 use super::observer::Observer;
 use super::ray::PreparedRay;
-use super::simd::Machine;
+use super::simd::{Machine, prefetch};
 
 /// Follows `root`, whose box the ray overlaps. With `ANY` any hit is an answer, else the closest.
 #[inline(always)]
@@ -26,10 +26,15 @@ pub(super) fn run<const ANY: bool, M: Machine, F: Form<M>>(
     let (form_ray, block_ray) = (F::ray(ray), BlockRay::new(ray));
     let mut best = Best::end_of(ray);
     let mut current = root;
+    let fetch = |link: &Link| {
+        let leaf = blocks.address(link.first as usize);
+        let inner = form.address(link);
+        prefetch(if link.is_leaf() { leaf } else { inner });
+    };
     loop {
         if !current.is_leaf() {
             observer.inner(&current);
-            if let Some(child) = order.enter::<M, F>(form, &current, &form_ray, best.t, &mut stack) {
+            if let Some(child) = order.enter::<M, F>(form, &current, &form_ray, best.t, fetch, &mut stack) {
                 current = child;
                 continue;
             }

@@ -1,6 +1,7 @@
 //! The form of binary trees: both children's boxes in one cache line, tested together in one vector register.
 
 use super::form::{Below, Form, Link, Stack};
+use super::memory;
 use super::ray::PreparedRay;
 use super::simd::{F32x4, Machine};
 use crate::tree::{LEAF_BIT, TreeView};
@@ -46,7 +47,9 @@ impl Pairs {
             }),
             below: [below(2 * index + 1), below(2 * index + 2)],
         });
-        let (pairs, root) = (pairs.collect(), below(0));
+        let mut list = memory::with_capacity(children.len());
+        list.extend(pairs);
+        let (pairs, root) = (list, below(0));
         Some(Pairs { pairs, root })
     }
 
@@ -102,6 +105,11 @@ impl<M: Machine> Form<M> for Pairs {
     }
 
     #[inline(always)]
+    fn address(&self, parent: &Link) -> *const u8 {
+        self.pairs.as_ptr().wrapping_add(parent.first as usize).cast()
+    }
+
+    #[inline(always)]
     fn each(&self, parent: &Link, ray: &PairRay, tfar: f32, mut found: impl FnMut(Link)) {
         let pair = &self.pairs[parent.first as usize];
         let (mask, left, right) = Self::test(pair, ray, tfar);
@@ -114,11 +122,22 @@ impl<M: Machine> Form<M> for Pairs {
     }
 
     #[inline(always)]
-    fn nearest(&self, parent: &Link, ray: &PairRay, tfar: f32, stack: &mut Stack) -> Option<Link> {
+    fn nearest(
+        &self,
+        parent: &Link,
+        ray: &PairRay,
+        tfar: f32,
+        found: impl Fn(&Link),
+        stack: &mut Stack,
+    ) -> Option<Link> {
         let pair = &self.pairs[parent.first as usize];
         let (mask, left, right) = Self::test(pair, ray, tfar);
         // With branches, not arithmetic: where they are predicted, the next pair is on its way before this one is decided.
-        let link = |side: usize, entry: f32| Self::link(pair, parent.first, side, entry);
+        let link = |side: usize, entry: f32| {
+            let link = Self::link(pair, parent.first, side, entry);
+            found(&link);
+            link
+        };
         if mask & 1 == 0 {
             return if mask == 0 { None } else { Some(link(1, right)) };
         }
@@ -132,6 +151,31 @@ impl<M: Machine> Form<M> for Pairs {
             stack.push(link(1, right));
             Some(link(0, left))
         }
+    }
+
+    #[inline(always)]
+    fn first(
+        &self,
+        parent: &Link,
+        ray: &PairRay,
+        tfar: f32,
+        found: impl Fn(&Link),
+        stack: &mut Stack,
+    ) -> Option<Link> {
+        let pair = &self.pairs[parent.first as usize];
+        let (mask, left, right) = Self::test(pair, ray, tfar);
+        let link = |side: usize, entry: f32| {
+            let link = Self::link(pair, parent.first, side, entry);
+            found(&link);
+            link
+        };
+        if mask & 1 == 0 {
+            return if mask == 0 { None } else { Some(link(1, right)) };
+        }
+        if mask & 2 != 0 {
+            stack.push(link(1, right));
+        }
+        Some(link(0, left))
     }
 }
 

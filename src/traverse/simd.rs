@@ -116,3 +116,16 @@ impl<M: Machine> Supports<4> for M {
 impl<M: Machine> Supports<8> for M {
     type Vector = M::Eight;
 }
+
+/// Asks for the four cache lines from `address` on, which may be anything, to be fetched while other work goes on.
+#[inline(always)]
+pub fn prefetch(address: *const u8) {
+    #[cfg(target_arch = "x86_64")]
+    for line in 0..4 {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: a hint reads nothing, and does not fault whatever the address.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(address.wrapping_add(64 * line).cast()) };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = address;
+}

@@ -15,9 +15,8 @@
 use super::ray::PreparedRay;
 use crate::geometry::{Triangle, Vec3};
 
-/// A primitive, as leaves hold it. 48 bytes.
+/// A primitive of a leaf.
 #[derive(Clone, Copy, Debug)]
-#[repr(C, align(16))]
 pub struct PreparedTriangle {
     pub vertices: Triangle,
     /// Index into `TRIS`.
@@ -34,14 +33,14 @@ fn dot(a: Vec3, b: Vec3) -> f32 {
 
 /// Embree's rounding of a cross product.
 #[inline(always)]
-pub(super) fn cross(a: Vec3, b: Vec3) -> Vec3 {
+fn cross(a: Vec3, b: Vec3) -> Vec3 {
     let minor = |a1: f32, b2: f32, a2: f32, b1: f32| a1.mul_add(b2, -(a2 * b1));
     Vec3::new(minor(a.y, b.z, a.z, b.y), minor(a.z, b.x, a.x, b.z), minor(a.x, b.y, a.y, b.x))
 }
 
 /// The edges that the test works with: first vertex minus second, third minus first.
 #[inline(always)]
-pub(super) fn edges(triangle: &Triangle) -> (Vec3, Vec3) {
+fn edges(triangle: &Triangle) -> (Vec3, Vec3) {
     let [v0, v1, v2] = triangle.0;
     (v0 - v1, v2 - v0)
 }
@@ -74,7 +73,7 @@ impl PreparedTriangle {
 
     /// The part that few candidates reach: agreement with the triangle's box.
     #[inline]
-    pub(super) fn confirm(&self, ray: &PreparedRay, t: f32) -> Option<f32> {
+    fn confirm(&self, ray: &PreparedRay, t: f32) -> Option<f32> {
         let entry = ray.entry(&self.vertices.bounds(), ray.tfar)?;
         let t = t.max(entry);
         t.is_finite().then_some(t.min(ray.tfar))

@@ -145,6 +145,13 @@ mod imp {
             unsafe { Mask(_mm_and_ps(self.0, other.0)) }
         }
 
+        /// Each lane from `yes` where the comparison holds, else from `no`.
+        #[inline(always)]
+        pub fn select(self, yes: F32x4, no: F32x4) -> F32x4 {
+            // SAFETY: see above.
+            unsafe { F32x4(_mm_or_ps(_mm_and_ps(self.0, yes.0), _mm_andnot_ps(self.0, no.0))) }
+        }
+
         /// Bit i: lane i.
         #[inline(always)]
         pub fn bits(self) -> u32 {
@@ -270,6 +277,12 @@ mod imp {
         #[inline(always)]
         pub fn and(self, other: Mask) -> Mask {
             Mask(std::array::from_fn(|lane| self.0[lane] & other.0[lane]))
+        }
+
+        /// Each lane from `yes` where the comparison holds, else from `no`.
+        #[inline(always)]
+        pub fn select(self, yes: F32x4, no: F32x4) -> F32x4 {
+            F32x4(std::array::from_fn(|lane| if self.0[lane] { yes.0[lane] } else { no.0[lane] }))
         }
 
         /// Bit i: lane i.
