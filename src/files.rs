@@ -6,7 +6,7 @@
 
 use memmap2::Mmap;
 use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io::{self, BufWriter, Write};
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
@@ -99,6 +99,23 @@ impl OutputFile {
     /// The error of writing this file: use it for what a library's writer returned.
     pub fn write_error(&self, source: io::Error) -> FileError {
         FileError::new(&self.path, "write", source)
+    }
+
+    /// Writes the whole file through a buffer, and gives it its name.
+    ///
+    /// # Errors
+    /// What `write` returns, with the path, or as for [`Self::commit`].
+    pub fn commit_with<T>(
+        mut self,
+        write: impl FnOnce(&mut dyn Write) -> io::Result<T>,
+    ) -> Result<T, FileError> {
+        let mut out = BufWriter::with_capacity(1 << 20, &mut self.file);
+        let written = write(&mut out).and_then(|value| out.flush().map(|()| value));
+        // A buffer that could not be flushed must not try again when it is dropped.
+        drop(out.into_parts());
+        let value = written.map_err(|error| self.write_error(error))?;
+        self.commit()?;
+        Ok(value)
     }
 
     /// Gives the file its name.
@@ -222,7 +239,10 @@ mod tests {
         let path = Path::new("/dev/full");
         let mut output = OutputFile::create(path).unwrap();
         let error = output.write_all(b"lost").unwrap_err();
-        assert!(output.write_error(error).to_string().starts_with("/dev/full: cannot write: No space left"));
+        let line = output.write_error(error).to_string();
+        assert!(line.starts_with("/dev/full: cannot write: No space left"), "{line}");
+        let buffered = OutputFile::create(path).unwrap().commit_with(|out| out.write_all(b"lost"));
+        assert_eq!(buffered.unwrap_err().to_string(), line);
         assert!(path.exists());
     }
 

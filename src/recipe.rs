@@ -5,6 +5,7 @@
 //! that belongs to it → [`crate::tree::leaves`], where leaves may hold several → a tree. Builder and optimisers see the same heuristic, so that the one does not undo the other.
 
 pub mod auto;
+pub mod wide;
 
 use crate::builder::reference::References;
 use crate::builder::{self, BuildError, build_with};

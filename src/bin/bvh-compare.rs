@@ -272,9 +272,7 @@ fn warn(line: &str) {
 fn write_page(path: &Path, comparison: &Comparison, failures: &[String]) -> Result<(), Failure> {
     let arguments = std::env::args_os().map(|argument| argument.to_string_lossy().into_owned());
     let page = html::render(comparison, &Circumstances::of(PROGRAM, arguments), failures);
-    let mut file = OutputFile::create(path)?;
-    file.write_all(page.as_bytes()).map_err(|error| file.write_error(error))?;
-    file.commit()?;
+    OutputFile::create(path)?.commit_with(|out| out.write_all(page.as_bytes()))?;
     eprintln!("{PROGRAM}: the report is in {}", path.display());
     Ok(())
 }

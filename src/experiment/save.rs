@@ -58,9 +58,7 @@ fn trace(tree: &Tree, triangles: &[Triangle], rays: &[Ray], path: &Path) -> Resu
     let with = |extension| {
         path.with_file_name(format!("{}{extension}", path.file_name().unwrap_or_default().display()))
     };
-    let mut file = OutputFile::create(&with(".bvh"))?;
-    let fingerprint = bvh::write(&mut file, &contents).map_err(|error| file.write_error(error))?;
-    file.commit()?;
+    let fingerprint = OutputFile::create(&with(".bvh"))?.commit_with(|out| bvh::write(out, &contents))?;
 
     let rays_path = with(".rays");
     let header = Header { fingerprint, embree_version: 0, deterministic: true, producer: PRODUCER.into() };

@@ -7,7 +7,6 @@ mod draw;
 
 use crate::files::{FileError, OutputFile};
 use plotters::style::RGBColor;
-use std::io::Write;
 use std::path::Path;
 
 pub type Color = RGBColor;
@@ -189,9 +188,8 @@ impl Figure {
     /// When a file cannot be written.
     pub fn write(&self, directory: &Path, name: &str) -> Result<(), FileError> {
         for (extension, bytes) in [("svg", self.svg().into_bytes()), ("png", self.png())] {
-            let mut file = OutputFile::create(&directory.join(format!("{name}.{extension}")))?;
-            file.write_all(&bytes).map_err(|error| file.write_error(error))?;
-            file.commit()?;
+            let file = OutputFile::create(&directory.join(format!("{name}.{extension}")))?;
+            file.commit_with(|out| out.write_all(&bytes))?;
         }
         Ok(())
     }

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use serde_json::json;
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// What stays the same while a program is recorded.
@@ -225,13 +225,8 @@ impl Collector {
             producer: &producer,
         };
         let path = path_of_scene(&self.target.bvh, line.number);
-        let mut file = OutputFile::create(&path)?;
-        let mut out = BufWriter::with_capacity(1 << 20, &mut file);
-        let written =
-            bvh::write(&mut out, &contents).and_then(|fingerprint| out.flush().map(|()| fingerprint));
-        drop(out);
-        self.fingerprints.push(written.map_err(|error| file.write_error(error))?);
-        file.commit()?;
+        let fingerprint = OutputFile::create(&path)?.commit_with(|out| bvh::write(out, &contents))?;
+        self.fingerprints.push(fingerprint);
         (line.triangles, line.instances, line.nodes) =
             (triangles.len() as u64, instances as u64, tree.nodes.len() as u64);
         (line.path, line.producer) = (Some(path.display().to_string()), producer);

@@ -1,6 +1,5 @@
 //! `embree-trace`: renders a scene with Embree, or runs a program that does, and records every ray query with its result.
 
-#[path = "embree-trace/record.rs"]
 mod record;
 
 use clap::{Parser, ValueEnum};
@@ -22,7 +21,7 @@ use embree_trace::render::workers::{Rendered, render};
 use embree_trace::render::{Integrator, Job};
 use std::ffi::OsString;
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -272,10 +271,9 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     summary.queries_per_second = tally.total().queries as f64 / summary.seconds.render;
     (summary.queries, summary.refused) = (query_lines(&tally), refused);
 
-    if let Some((path, kind, mut file)) = image {
+    if let Some((path, kind, file)) = image {
         let bytes = film.encode(kind)?;
-        file.write_all(&bytes).map_err(|error| file.write_error(error))?;
-        file.commit()?;
+        file.commit_with(|out| out.write_all(&bytes))?;
         summary.image = Some(path.display().to_string());
     }
     let mut out = std::io::stdout().lock();
@@ -314,12 +312,7 @@ fn write_tree(
         flags,
         producer: &producer,
     };
-    let mut file = OutputFile::create(path)?;
-    let mut out = BufWriter::with_capacity(1 << 20, &mut file);
-    let written = bvh::write(&mut out, &contents).and_then(|fingerprint| out.flush().map(|()| fingerprint));
-    drop(out);
-    let fingerprint = written.map_err(|error| file.write_error(error))?;
-    file.commit()?;
+    let fingerprint = OutputFile::create(path)?.commit_with(|out| bvh::write(out, &contents))?;
     let bytes = std::fs::metadata(path).map_or(0, |metadata| metadata.len());
     let line = TreeLine::new(path.display().to_string(), bytes, producer, tree.view());
     let header = Header {

@@ -1,0 +1,216 @@
+//! What the command line says, as the library's configurations.
+
+use clap::{Parser, ValueEnum};
+use embree_trace::builder::{Config, Count, Splits};
+use embree_trace::cli::TextOrJson;
+use embree_trace::optimize::{Stage, annealing, insertion, reinsertion, rotations};
+use embree_trace::recipe::{Heuristic, Recipe};
+use embree_trace::replay::select::Filter;
+use embree_trace::tree::collapse;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Rebuild the tree of a .bvh from its triangles: a binary tree, greedy from the top, with surface area or recorded rays as
+/// the probability that a box is hit, and optimised afterwards when asked.
+///
+/// The output is the same, byte for byte, for any number of threads.
+#[derive(Parser)]
+#[command(
+    version,
+    after_help = "\
+Examples:
+  bvh-build embBuilt.bvh ours.bvh                            binned SAH, one triangle a leaf
+  bvh-build embBuilt.bvh ours.bvh --splits sweep             every possible cut: slower, better
+  bvh-build embBuilt.bvh ours.bvh --splits sweep --alpha 0.88
+  bvh-build embBuilt.bvh ours.bvh --splits spatial --optimize reinsertion   the lowest SAH cost
+  bvh-build embBuilt.bvh ours.bvh --max-leaf 8               leaves of up to 8 where that lowers the SAH cost
+  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --heuristic auto   the best tree for these rays that it finds in 30 s
+  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays       a tree for these rays: blend 0.95
+  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --splits sweep --optimize rotations
+  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --train 0.1 --order   and an order for its occlusion queries
+  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --filter kind=closest --train 0.1
+  bvh-build embBuilt.bvh ours.bvh --splits sweep --width 8 --max-leaf 8    up to eight children a node
+  bvh-build embBuilt.bvh same.bvh --binary                                 Embree's own tree, made binary
+
+Exit codes: 0 good, 2 bad input or usage."
+)]
+pub struct Arguments {
+    /// The .bvh whose triangles to build over
+    pub input: PathBuf,
+    /// The .bvh to write
+    pub output: PathBuf,
+    /// Candidates at each node: binned (min(32, 4 + n/20) bins an axis), binned:N, sweep, or spatial (binned, and planes that cut
+    /// triangles)
+    #[arg(long, default_value = "binned", value_name = "KIND")]
+    pub splits: Splits,
+    /// With --splits spatial: most references that may be added, as a share of the triangles
+    #[arg(long, value_name = "SHARE", allow_negative_numbers = true)]
+    pub max_duplication: Option<f64>,
+    /// With --splits spatial: cut only where the best other split's children overlap in more than this share of the root's area
+    #[arg(long, value_name = "SHARE", allow_negative_numbers = true)]
+    pub overlap: Option<f64>,
+    /// Exponent of the count in a side's cost, count^ALPHA · P
+    #[arg(long, default_value_t = 1.0, value_name = "ALPHA", allow_negative_numbers = true)]
+    pub alpha: f64,
+    /// The count in a side's cost: n-1 or n
+    #[arg(long, default_value = "n-1", value_name = "COUNT")]
+    pub count: Count,
+    /// Most triangles in a leaf; above 1, subtrees become leaves where that does not raise the SAH cost
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    pub max_leaf: usize,
+    /// Cost of a box test, for the SAH cost that is printed and for leaves
+    #[arg(long, default_value_t = 1.0, value_name = "COST", allow_negative_numbers = true)]
+    pub ci: f64,
+    /// Cost of a triangle test, for the same
+    #[arg(long, default_value_t = 1.0, value_name = "COST", allow_negative_numbers = true)]
+    pub cp: f64,
+    /// A recording of the scene: its queries are the rays that the tree is for
+    #[arg(long, value_name = "RAYS")]
+    pub rays: Option<PathBuf>,
+    /// How likely a box is hit: its area, the queries that overlap it, or both; without this, blend where there are rays
+    #[arg(long, value_enum)]
+    pub heuristic: Option<Kind>,
+    /// Weight of the rays in a blend: 0 is area, 1 is rays
+    #[arg(long, default_value_t = 0.95, value_name = "W", allow_negative_numbers = true)]
+    pub weight: f64,
+    /// Added to every count of rays (rdh), so that a box without rays still has a cost
+    #[arg(long, default_value_t = 0.0, value_name = "RAYS", allow_negative_numbers = true)]
+    pub floor: f64,
+    /// Train with these queries only, written as for bvh-compare: purpose=camera+diffuse,depth=1..
+    #[arg(long, default_value = "", hide_default_value = true)]
+    pub filter: Filter,
+    /// Train with the queries of this share of the pixels; bvh-compare --held-out counts on the others
+    #[arg(long, default_value_t = 1.0, value_name = "FRACTION", value_parser = share)]
+    pub train: f64,
+    /// Train with at most this many queries, evenly chosen
+    #[arg(long, default_value_t = 1 << 20, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1 << 31))]
+    pub train_limit: u64,
+    /// The queries of this scene, when the recording holds several
+    #[arg(long, default_value_t = 0)]
+    pub scene: u16,
+    /// Optimisers to run after the build, in this order, with the same heuristic
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "NAMES")]
+    pub optimize: Vec<Optimizer>,
+    /// Sweeps of annealing, rounds of insertion, batches of reinsertion; 0 is the default of each
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    pub iterations: u32,
+    /// Optimisers stop after so many seconds from the start of the build, and auto tries no more (30 by default). What they reach in a time
+    /// differs from run to run: without it, the same input gives the same tree
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    pub budget: Option<Duration>,
+    /// Choose a traversal order for the occlusion queries of every node from the recorded ones, and store it (section ORDR);
+    /// says what they cost in every order, on the training queries and on the others
+    #[arg(long, requires = "rays")]
+    pub order: bool,
+    /// Build with one triangle a leaf and collapse to at most N children a node and --max-leaf triangles a leaf, at least cost: --ci a
+    /// node, --cp four triangles, by area or, where there are any, by the training queries
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(2..=8))]
+    pub width: Option<u8>,
+    /// Do not build: make the tree of the input binary, with one triangle a leaf
+    #[arg(long, conflicts_with_all = ["rays", "heuristic", "optimize", "width"])]
+    pub binary: bool,
+    /// Seed of --train and of the optimisers
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Threads to build with; 0 is one per processor
+    #[arg(long, default_value_t = 0, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=1024))]
+    pub threads: u16,
+    /// How to print what was built
+    #[arg(long, value_enum, default_value_t = TextOrJson::Text)]
+    pub format: TextOrJson,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Kind {
+    /// Surface area
+    Sah,
+    /// Number of queries whose effective segments overlap the box
+    Rdh,
+    /// --weight · rays + (1 - weight) · area
+    Blend,
+    /// Whichever costs the queries least that a quarter of the training pixels were set apart for: chooses splits, leaves, weight, exponent and
+    /// optimisers within --budget, and area alone where rays do not help
+    Auto,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Optimizer {
+    /// Children and grandchildren exchanged while it pays (Kensler 2008)
+    Rotations,
+    /// The same with simulated annealing (Kensler 2008)
+    Annealing,
+    /// Inefficient nodes inserted anew (Bittner et al. 2013)
+    Insertion,
+    /// Every subtree to its best place, in parallel (Meister and Bittner 2018)
+    Reinsertion,
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(share) if share > 0.0 && share <= 1.0 => Ok(share),
+        _ => Err("expected a number above 0 and at most 1".into()),
+    }
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    let seconds = text.parse::<f64>().ok().and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
+    seconds.ok_or_else(|| "expected a number of seconds, not negative".into())
+}
+
+impl Arguments {
+    pub fn recipe(&self) -> Recipe {
+        let kind = self.heuristic.unwrap_or(if self.rays.is_some() { Kind::Blend } else { Kind::Sah });
+        let heuristic = match kind {
+            // Area alone is the first that it tries.
+            Kind::Sah | Kind::Auto => Heuristic::Sah,
+            Kind::Rdh => Heuristic::Rdh { floor: self.floor },
+            Kind::Blend => Heuristic::Blend { weight: self.weight },
+        };
+        let mut splits = self.splits;
+        if let Splits::Spatial(options) = &mut splits {
+            options.max_duplication = self.max_duplication.unwrap_or(options.max_duplication);
+            options.overlap = self.overlap.unwrap_or(options.overlap);
+        }
+        let builder = Config {
+            splits,
+            alpha: self.alpha,
+            count: self.count,
+            // Collapsing merges leaves itself, and better where it has the choice.
+            max_leaf: if self.width.is_some() { 1 } else { self.max_leaf },
+            c_i: self.ci,
+            c_p: self.cp,
+        };
+        let stages = self.optimize.iter().map(|&name| self.stage(name)).collect();
+        Recipe { heuristic, builder, stages, budget: self.budget }
+    }
+
+    fn stage(&self, optimizer: Optimizer) -> Stage {
+        let seed = self.seed;
+        let or = |default: usize| if self.iterations == 0 { default } else { self.iterations as usize };
+        match optimizer {
+            Optimizer::Rotations => Stage::Rotations(rotations::Config::default()),
+            Optimizer::Annealing => {
+                let default = annealing::Config::default();
+                Stage::Annealing(annealing::Config { iterations: or(default.iterations), seed, ..default })
+            }
+            Optimizer::Insertion => {
+                let default = insertion::Config::default();
+                Stage::Insertion(insertion::Config { rounds: or(default.rounds), seed, ..default })
+            }
+            Optimizer::Reinsertion => {
+                let default = reinsertion::Config::default();
+                Stage::Reinsertion(reinsertion::Config { batches: or(default.batches), ..default })
+            }
+        }
+    }
+
+    /// How to collapse to `width`.
+    pub fn collapsing(&self, width: u8) -> collapse::Config {
+        let config = collapse::Config::vector(width.into());
+        collapse::Config { max_leaf: self.max_leaf, node: self.ci, block: self.cp, ..config }
+    }
+
+    pub fn is_auto(&self) -> bool {
+        self.heuristic == Some(Kind::Auto)
+    }
+}

@@ -1,0 +1,189 @@
+//! `bvh-build IN.bvh OUT.bvh`: the same triangles, another tree.
+
+mod arguments;
+mod order;
+mod report;
+
+use arguments::Arguments;
+use clap::Parser;
+use embree_trace::builder::Splits;
+use embree_trace::cli::{self, Failure, Outcome};
+use embree_trace::files::{MappedFile, OutputFile};
+use embree_trace::format::bvh::{self, Bvh, Contents, flag};
+use embree_trace::format::rays::Rays;
+use embree_trace::geometry::Ray;
+use embree_trace::progress::Progress;
+use embree_trace::recipe::{Made, Recipe, RecipeError, auto, wide};
+use embree_trace::replay::select::Portion;
+use embree_trace::training::Selection;
+use embree_trace::training::occlusions::{self, Occlusions};
+use embree_trace::training::queries::{self, Query};
+use embree_trace::traverse::Prepared;
+use embree_trace::tree::collapse;
+use order::ordered;
+use report::{described, optimization, print};
+use serde_json::{Value, json};
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+/// What a recording gives: effective segments, the queries whole for auto, occlusion queries for an order.
+#[derive(Default)]
+struct Training {
+    segments: Vec<Ray>,
+    queries: Vec<Query>,
+    occlusions: Occlusions,
+}
+
+/// Time for auto.
+const BUDGET: Duration = Duration::from_secs(30);
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    cli::run("bvh-build", || run(&arguments))
+}
+
+fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
+    let asked = arguments.recipe();
+    asked.check()?;
+    let cuts = matches!(asked.builder.splits, Splits::Spatial(_));
+    if !cuts && (arguments.max_duplication.is_some() || arguments.overlap.is_some()) {
+        return Err(Failure::new("--max-duplication and --overlap are for --splits spatial: add that"));
+    }
+    if let Some(width) = arguments.width {
+        arguments.collapsing(width).check()?;
+    }
+    if arguments.is_auto() && !arguments.optimize.is_empty() {
+        return Err(Failure::new("--heuristic auto chooses the optimisers itself: leave out --optimize"));
+    }
+    let in_input =
+        |error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", arguments.input.display()));
+    let bytes = MappedFile::open(&arguments.input)?;
+    let before = Bvh::parse(&bytes).map_err(|error| in_input(&error))?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(arguments.threads.into()).build()?;
+    let training = pool.install(|| arguments.training(&before))?;
+    let training_queries = training.segments.len();
+    let output = OutputFile::create(&arguments.output)?;
+
+    let started = Instant::now();
+    let (recipe, made, auto) = if arguments.binary {
+        (asked, Made { tree: collapse::binary(before.tree, before.triangles), optimized: None }, None)
+    } else {
+        pool.install(|| arguments.make(&before, &training)).map_err(|error| in_input(&error))?
+    };
+    let Made { mut tree, optimized } = made;
+    if let Some(width) = arguments.width {
+        let config = arguments.collapsing(width);
+        tree = wide::collapsed(&tree, before.triangles, &training.segments, arguments.weight, &config)?;
+    }
+    let seconds = started.elapsed().as_secs_f64();
+
+    let is_cut = !arguments.binary && matches!(recipe.builder.splits, Splits::Spatial(_));
+    let mut meta = if arguments.binary { json!({ "binary": true }) } else { recipe.meta() };
+    if let Some(width) = arguments.width {
+        meta["width"] = json!(width);
+        meta["max_leaf"] = json!(arguments.max_leaf);
+    }
+    if let Some(auto) = &auto {
+        meta["auto"] = auto.clone();
+    }
+    if recipe.heuristic.needs_rays() || auto.is_some() {
+        meta["training"] = json!({
+            "queries": training_queries, "filter": arguments.filter.to_string(), "train": arguments.train, "seed": arguments.seed,
+        });
+    }
+    // Where the image's size is known, it stays known.
+    let recorded = before.meta.and_then(|meta| serde_json::from_str::<Value>(meta).ok());
+    if let Some(image) = recorded.as_ref().and_then(|meta| meta.get("image")) {
+        meta["image"] = image.clone();
+    }
+    let wants_order = arguments.order || !training.occlusions.training.is_empty();
+    let ordered = wants_order.then(|| {
+        let prepared = Prepared::new(tree.view(), before.triangles, before.geometries);
+        pool.install(|| ordered(&prepared, tree.view(), &training.occlusions, arguments))
+    });
+    let kept = flag::FLATTENED | if arguments.binary { flag::SPATIAL_SPLITS } else { 0 };
+    let mut producer = recipe.builder.producer(recipe.heuristic.name());
+    if arguments.binary {
+        producer = "bvh-build binary".into();
+    }
+    let contents = Contents {
+        tree: tree.view(),
+        triangles: before.triangles,
+        geometries: before.geometries,
+        order: ordered.as_ref().map(|(orders, _)| orders.as_slice()),
+        meta: Some(&meta.to_string()),
+        flags: before.header.flags & kept | if is_cut { flag::SPATIAL_SPLITS } else { 0 },
+        producer: &producer,
+    };
+    output.commit_with(|out| bvh::write(out, &contents))?;
+
+    let mut report = json!({
+        "triangles": before.triangles.len(),
+        "left_out": before.triangles.iter().filter(|triangle| !triangle.is_finite()).count(),
+        "references": tree.primitives.len(),
+        "training_queries": training_queries,
+        "seconds": seconds,
+        "threads": pool.current_num_threads(),
+        "build": meta,
+        "before": described(before.tree, &recipe.builder),
+        "after": described(tree.view(), &recipe.builder),
+    });
+    if let Some(optimized) = &optimized {
+        report["optimized"] = optimization(optimized);
+    }
+    if let Some((_, order)) = ordered {
+        report["order"] = order;
+    }
+    print(&report, arguments.format)?;
+    Ok(Outcome::Good)
+}
+
+impl Arguments {
+    /// What the tree is made from: nothing without a recording.
+    fn training(&self, bvh: &Bvh) -> Result<Training, Failure> {
+        let Some(path) = &self.rays else { return Ok(Default::default()) };
+        let at = |error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", path.display()));
+        let bytes = MappedFile::open(path)?;
+        let rays = Rays::parse(&bytes).map_err(|error| at(&error))?;
+        let selection = Selection {
+            scene: self.scene,
+            filter: self.filter.clone(),
+            portion: Portion { share: self.train, seed: self.seed },
+            most: self.train_limit as usize,
+        };
+        let mut training = Training::default();
+        if self.is_auto() {
+            training.queries = queries::read(&selection, &rays, bvh).map_err(|error| at(&error))?;
+            training.segments = training.queries.iter().map(|query| query.segment).collect();
+        } else {
+            training.segments = selection.read(&rays, bvh).map_err(|error| at(&error))?;
+        }
+        if self.order || self.is_auto() {
+            training.occlusions = occlusions::read(&selection, &rays, bvh).map_err(|error| at(&error))?;
+        }
+        Ok(training)
+    }
+
+    /// Makes the tree, and says what auto tried.
+    fn make(&self, bvh: &Bvh, training: &Training) -> Result<(Recipe, Made, Option<Value>), RecipeError> {
+        let recipe = self.recipe();
+        if self.is_auto() {
+            let scene = auto::Scene { triangles: bvh.triangles, geometries: bvh.geometries };
+            let budget = self.budget.unwrap_or(BUDGET);
+            let config = auto::Config {
+                budget,
+                c_i: self.ci,
+                c_p: self.cp,
+                // Collapsing makes leaves itself.
+                max_leaf: if self.width.is_some() { 1 } else { auto::MAX_LEAF },
+            };
+            let chosen = auto::choose(scene, &training.queries, &config)?;
+            let report = chosen.report();
+            return Ok((chosen.recipe, chosen.made, Some(report)));
+        }
+        let steps = (bvh.triangles.len() + recipe.stages.len()) as u64;
+        let progress = Progress::new("building", steps);
+        let made = recipe.make(bvh.triangles, &training.segments, &progress)?;
+        Ok((recipe, made, None))
+    }
+}

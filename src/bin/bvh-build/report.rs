@@ -1,0 +1,105 @@
+//! What was built, as JSON and as a table.
+
+use crate::order::print_order;
+use embree_trace::builder::Config;
+use embree_trace::cli::TextOrJson;
+use embree_trace::optimize::Report;
+use embree_trace::tree::TreeView;
+use embree_trace::tree::statistics::{Statistics, sah_cost};
+use serde_json::{Value, json};
+use std::io::Write;
+
+/// What each optimiser did to T, in its own measure (the root's P is about 1), step by step.
+pub fn optimization(report: &Report) -> Value {
+    let stages: Vec<Value> = report
+        .stages
+        .iter()
+        .map(|stage| {
+            json!({
+                "name": stage.stage.name(),
+                "undone": stage.undone,
+                "moves": stage.steps.last().map_or(0, |step| step.moves),
+                "cost": stage.steps.iter().map(|step| step.cost).collect::<Vec<f64>>(),
+            })
+        })
+        .collect();
+    json!({ "before": report.before, "after": report.after, "stages": stages })
+}
+
+/// What a tree looks like, in the names of `bvh-compare`.
+pub fn described(tree: TreeView, config: &Config) -> Value {
+    let Statistics { nodes, leaves, depth, max_children, max_leaf } = Statistics::of(tree);
+    let sah_cost = sah_cost(tree, config.c_i, config.c_p);
+    json!({
+        "nodes": nodes, "leaves": leaves, "depth": depth, "max_children": max_children, "max_leaf": max_leaf,
+        "sah_cost": sah_cost,
+    })
+}
+
+pub fn print(report: &Value, format: TextOrJson) -> std::io::Result<()> {
+    let mut out = std::io::stdout().lock();
+    if format == TextOrJson::Json {
+        return writeln!(out, "{report:#}");
+    }
+    writeln!(
+        out,
+        "{} triangles in {:.3} s, {} left out (vertices that are not finite)",
+        report["triangles"],
+        report["seconds"].as_f64().unwrap_or_default(),
+        report["left_out"],
+    )?;
+    if report["training_queries"] != 0 {
+        writeln!(out, "{} training queries", report["training_queries"])?;
+    }
+    print_trials(&mut out, &report["build"]["auto"])?;
+    if let Some(stages) = report["optimized"]["stages"].as_array() {
+        let mut cost = report["optimized"]["before"].as_f64().unwrap_or_default();
+        for stage in stages {
+            let after = stage["cost"].as_array().and_then(|costs| costs.last()?.as_f64()).unwrap_or(cost);
+            let name = stage["name"].as_str().unwrap_or_default();
+            writeln!(out, "{name}: {} moves, T from {cost:.4} to {after:.4} per query", stage["moves"])?;
+            cost = after;
+        }
+    }
+    writeln!(out, "{:<12}{:>10}{:>12}", "", "before", "after")?;
+    for name in ["nodes", "leaves", "depth", "max_children", "max_leaf"] {
+        let value = |tree: &str| report[tree][name].to_string();
+        writeln!(out, "{:<12}{:>10}{:>12}", name.replace('_', " "), value("before"), value("after"))?;
+    }
+    print_order(&mut out, &report["order"])?;
+    let cost = |tree: &str| report[tree]["sah_cost"].as_f64().unwrap_or_default();
+    writeln!(out, "{:<12}{:>10.2}{:>12.2}", "SAH cost", cost("before"), cost("after"))
+}
+
+/// What auto tried: a line for each recipe, with what it costs a judging query and what that is of area alone.
+fn print_trials(out: &mut impl Write, auto: &Value) -> std::io::Result<()> {
+    let Some(trials) = auto["trials"].as_array().filter(|trials| !trials.is_empty()) else { return Ok(()) };
+    writeln!(
+        out,
+        "{} judging queries: each\n{:<40}{:>10}{:>10}{:>10}",
+        auto["judges"], "", "fitted to", "cost", "ratio"
+    )?;
+    let cost = |trial: &Value| trial["cost"].as_f64().unwrap_or_default();
+    for (index, trial) in trials.iter().enumerate() {
+        let recipe = &trial["recipe"];
+        let mut name = recipe["heuristic"].as_str().unwrap_or_default().to_owned();
+        if let Some(weight) = recipe["weight"].as_f64() {
+            name += &format!(" {weight}");
+        }
+        if let Some(alpha) = recipe["alpha"].as_f64().filter(|&alpha| alpha != 1.0) {
+            name += &format!(" alpha {alpha}");
+        }
+        for stage in recipe["optimize"].as_array().into_iter().flatten() {
+            name += &format!(" + {}", stage.as_str().unwrap_or_default());
+        }
+        let chosen = if auto["winner"] == index { "  chosen" } else { "" };
+        let ratio = cost(trial) / cost(&trials[0]);
+        writeln!(
+            out,
+            "{name:<40}{:>10}{:>10.2}{ratio:>10.3}{chosen}",
+            trial["queries"].to_string(),
+            cost(trial)
+        )?;
+    }
+    Ok(())
+}
