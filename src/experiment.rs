@@ -1,11 +1,12 @@
 //! The experiments of "Building Better BVHs by Using Ray Distributions" (Feltman 2011), one figure a file.
 //!
 //! Each file has `run`, which makes rows, and `figure`, which draws them; [`crate::report::plot`] writes the SVG and the
-//! PNG. `shapes` and `blend` make their own geometry and rays; the others take a trace (a `.bvh` with its `.rays`).
+//! PNG. `shapes`, `blend` and `optimum` make their own geometry and rays; the others take a trace (a `.bvh` with its `.rays`).
 
 pub mod alpha;
 pub mod blend;
 pub mod measure;
+pub mod optimum;
 pub mod published;
 pub mod sampling;
 pub mod save;
@@ -17,10 +18,12 @@ pub mod trace;
 pub mod traversal;
 
 use crate::builder::BuildError;
+use crate::builder::exhaustive::ExhaustiveError;
 use crate::files::FileError;
 use crate::optimize::OptimizeError;
 use crate::probability::blend::WeightError;
 use crate::probability::shrunk::StrengthError;
+use crate::recipe::RecipeError;
 use crate::tree::TreeView;
 use measure::{Cost, IdentityError};
 use std::io::{self, Write};
@@ -48,6 +51,10 @@ pub enum ExperimentError {
     Trace(#[from] TraceError),
     #[error(transparent)]
     Optimize(#[from] OptimizeError),
+    #[error(transparent)]
+    Recipe(#[from] RecipeError),
+    #[error(transparent)]
+    Exhaustive(#[from] ExhaustiveError),
     #[error(transparent)]
     Strength(#[from] StrengthError),
     #[error(transparent)]

@@ -14,6 +14,7 @@
 //! | [`annealing`] | the same at random, uphill too while it is warm | Kensler 2008 |
 //! | [`insertion`] | children of inefficient nodes to their best places | Bittner, Hapala and Havran 2013 |
 //! | [`reinsertion`] | every subtree to its best place, many at a time | Meister and Bittner 2018 |
+//! | [`treelets`] | the top of every subtree put together in the best way | Karras and Aila 2013 |
 //!
 //! All of them give the same tree, byte for byte, for any number of threads, unless a deadline ends them: the limits of the stages are counted
 //! in boxes tested. Whenever they end, the tree is no worse than before.
@@ -29,6 +30,7 @@ pub mod reinsertion;
 pub mod rotations;
 pub mod search;
 pub mod segments;
+pub mod treelets;
 pub mod working;
 
 use crate::builder::MAX_DEPTH;
@@ -46,6 +48,7 @@ pub enum Stage {
     Annealing(annealing::Config),
     Insertion(insertion::Config),
     Reinsertion(reinsertion::Config),
+    Treelets(treelets::Config),
 }
 
 impl Stage {
@@ -56,6 +59,7 @@ impl Stage {
             Stage::Annealing(_) => "annealing",
             Stage::Insertion(_) => "insertion",
             Stage::Reinsertion(_) => "reinsertion",
+            Stage::Treelets(_) => "treelets",
         }
     }
 }
@@ -112,7 +116,9 @@ pub struct Report {
 pub enum OptimizeError {
     #[error("node {node} has {children} children: only binary trees can be optimised")]
     NotBinary { node: usize, children: usize },
-    #[error("the share of nodes, the temperature or the least gain of {0} is not a number in its range")]
+    #[error(
+        "the share of nodes, the temperature, the least gain or the leaves of {0} are not in their range"
+    )]
     OutOfRange(&'static str),
 }
 
@@ -141,6 +147,7 @@ pub fn run<M: Measure>(
             Stage::Annealing(config) => annealing::anneal(&mut working, &config),
             Stage::Insertion(config) => insertion::insert(&mut working, &config),
             Stage::Reinsertion(config) => reinsertion::reinsert(&mut working, &config),
+            Stage::Treelets(config) => treelets::restructure(&mut working, &config),
         };
         let too_deep = working.depth() > limit;
         if too_deep || working.cost() > cost {
@@ -170,6 +177,9 @@ fn check(tree: &Tree, config: &Config) -> Result<(), OptimizeError> {
             }
             Stage::Insertion(config) => share(config.share) && share(config.least_gain),
             Stage::Reinsertion(config) => share(config.share) && share(config.least_gain),
+            Stage::Treelets(config) => {
+                (3..=treelets::MAX_LEAVES).contains(&config.leaves) && share(config.least_gain)
+            }
         };
         if !good {
             return Err(OptimizeError::OutOfRange(stage.name()));

@@ -163,7 +163,35 @@ fn saved_traces_feed_the_other_experiments_and_bad_input_is_refused_in_one_line(
         let text = refused(&arguments, here);
         assert!(text.contains(expected) && text.trim_end().lines().count() == 1, "{arguments:?}: {text}");
     }
-    for arguments in [vec!["shapes", "--trials", "0"], vec!["alpha", scene, "--queries", "0"], vec![]] {
+    for arguments in [
+        vec!["shapes", "--trials", "0"],
+        vec!["alpha", scene, "--queries", "0"],
+        vec!["optimum", "--triangles", "15"],
+        vec!["optimum", "--scenes", "0"],
+        vec![],
+    ] {
         refused(&arguments, here);
+    }
+}
+
+#[test]
+fn the_optimum_is_below_every_heuristic_and_auto_is_near_it() {
+    let directory = tempfile::tempdir().unwrap();
+    let output = run(&["optimum", "--quick", "--out", "out"], directory.path());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8(output.stdout).unwrap();
+    let row = |tree: &str| -> Vec<f64> {
+        let row = text.lines().find(|line| line.starts_with(&format!("| {tree} |"))).expect("a row");
+        row.trim_matches('|').split('|').skip(1).map(|cell| cell.trim().parse().unwrap()).collect()
+    };
+    assert!(row("auto")[0] <= 2.0, "{text}");
+    assert_eq!(row("the optimum for the rays")[..4], [0.0; 4]);
+    assert_eq!(row("the optimum for area")[4..], [0.0; 4]);
+    // Seven nodes at a time are nearly all of ten.
+    assert!(row("SAH sweep + treelets")[4] < row("SAH sweep")[4], "{text}");
+    let csv = std::fs::read_to_string(directory.path().join("out/optimum.csv")).unwrap();
+    assert!(csv.starts_with("scene,tree,t_r,least_t_r,t_u,least_t_u\n0,SAH binned,"), "{csv}");
+    for name in ["out/optimum.svg", "out/optimum.png"] {
+        assert!(directory.path().join(name).metadata().unwrap().len() > 100, "{name}");
     }
 }

@@ -7,7 +7,7 @@ use embree_trace::builder::{self, Bins, MAX_DEPTH, Splits};
 use embree_trace::geometry::{Aabb, Ray, Triangle, Vec3};
 use embree_trace::optimize::measure::{AreaMeasure, Estimate, Measure, RayMeasure};
 use embree_trace::optimize::{
-    Config, OptimizeError, Report, Stage, annealing, insertion, reinsertion, rotations, run,
+    Config, OptimizeError, Report, Stage, annealing, insertion, reinsertion, rotations, run, treelets,
 };
 use embree_trace::progress::Progress;
 use embree_trace::tree::validate::validate;
@@ -20,12 +20,14 @@ fn configurations() -> Vec<Config> {
     let annealing = Stage::Annealing(annealing::Config { iterations: 60, ..Default::default() });
     let insertion = Stage::Insertion(insertion::Config { rounds: 20, share: 0.1, ..Default::default() });
     let reinsertion = Stage::Reinsertion(reinsertion::Config::default());
+    let treelets = Stage::Treelets(treelets::Config::default());
     let all = Stage::Reinsertion(reinsertion::Config { share: 1.0, ..Default::default() });
     let stages = [
         vec![rotations],
         vec![annealing],
         vec![insertion],
         vec![reinsertion],
+        vec![treelets],
         vec![all],
         vec![rotations, all, insertion],
     ];
@@ -194,6 +196,8 @@ fn wide_trees_and_bad_numbers_are_refused() {
         Stage::Annealing(annealing::Config { end: 0.0, ..Default::default() }),
         Stage::Insertion(insertion::Config { share: -1.0, ..Default::default() }),
         Stage::Reinsertion(reinsertion::Config { share: f64::INFINITY, ..Default::default() }),
+        Stage::Treelets(treelets::Config { leaves: 15, ..Default::default() }),
+        Stage::Treelets(treelets::Config { leaves: 2, ..Default::default() }),
     ] {
         let refused =
             run(&mut tree, &area, &Config { stages: vec![stage], deadline: None }, &Progress::hidden());

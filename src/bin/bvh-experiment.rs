@@ -19,6 +19,7 @@ Examples:
   bvh-experiment shapes --optimize
   bvh-experiment blend --out figures --trials 10 --seed 1
   bvh-experiment shapes --save traces
+  bvh-experiment optimum --scenes 1000 --triangles 10
   bvh-experiment alpha casts.bvh
   bvh-experiment sampling built.bvh --rays casts.rays --queries 1000000
   bvh-experiment scenes recordings
@@ -49,6 +50,8 @@ enum Experiment {
     Sampling(Sampling),
     /// Every recorded scene in a folder × every builder: a table
     Scenes(Scenes),
+    /// Every heuristic and optimiser against the best of all trees, on random scenes of a few triangles
+    Optimum(Optimum),
 }
 
 #[derive(Args)]
@@ -83,6 +86,18 @@ struct Shapes {
     /// Also trees from all rays that are optimised on them
     #[arg(long)]
     optimize: bool,
+}
+
+#[derive(Args)]
+struct Optimum {
+    #[command(flatten)]
+    common: Common,
+    /// Random scenes: 1000, or 50 when quick
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    scenes: Option<u64>,
+    /// Triangles of a scene, 2 to 14
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u64).range(2..=experiment::optimum::MAX_TRIANGLES as u64))]
+    triangles: u64,
 }
 
 #[derive(Args)]
@@ -191,6 +206,14 @@ fn run(experiment: &Experiment) -> Result<Outcome, Failure> {
             write!(std::io::stdout(), "{}", experiment::scenes::markdown(&rows))?;
             let csv = |out: &mut OutputFile| experiment::scenes::write_csv(&rows, out);
             options.traced.common.write("scenes", csv, experiment::scenes::figure(&rows))
+        }
+        Experiment::Optimum(Optimum { common, scenes, triangles }) => {
+            let trials = scenes.unwrap_or(if common.quick { 50 } else { 1000 });
+            let settings = Settings { quick: common.quick, seed: common.seed, trials };
+            let rows = experiment::optimum::run(&settings, *triangles as usize)?;
+            write!(std::io::stdout(), "{}", experiment::optimum::markdown(&rows))?;
+            let csv = |out: &mut OutputFile| experiment::optimum::write_csv(&rows, out);
+            common.write("optimum", csv, experiment::optimum::figure(&rows, *triangles as usize))
         }
     }
 }

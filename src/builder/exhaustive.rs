@@ -1,7 +1,8 @@
 //! The best tree there is, for a handful of primitives: the limit that heuristics and optimisers are compared with.
 //!
 //! Dynamic programming over subsets: the least T of a set S of leaves is P(S) plus the least sum over all ways to divide S in two. P of
-//! the 2ⁿ boxes is computed once; the 3ⁿ/2 ways take well under a second for n = 14.
+//! the 2ⁿ boxes is computed once; the 3ⁿ/2 ways take well under a second for n = 14. [`Divisions`] does it for [`optimum`], and for
+//! [`crate::optimize::treelets`] on parts of a tree.
 
 use crate::geometry::Aabb;
 use crate::geometry::padded::PaddedAabb;
@@ -26,6 +27,64 @@ pub struct Optimum {
     pub cost: f64,
 }
 
+/// For every set of leaves the division in two that begins its best tree. A set is a number whose bits are its leaves.
+#[derive(Clone, Debug, Default)]
+pub struct Divisions {
+    /// Least T of each set.
+    cost: Vec<f64>,
+    /// One side of the best division.
+    left: Vec<u32>,
+}
+
+impl Divisions {
+    /// Finds the best divisions; `probability[set]` is P of the box around each set of at least two leaves.
+    pub fn find(&mut self, probability: &[f64]) {
+        let sets = probability.len();
+        debug_assert!(sets.is_power_of_two());
+        self.cost.clear();
+        self.cost.resize(sets, 0.0);
+        self.left.clear();
+        self.left.resize(sets, 0);
+        // A set's subsets have smaller numbers.
+        for set in (1..sets).filter(|set| !set.is_power_of_two()) {
+            // Each division once: the side with the lowest leaf is `set` without a non-empty part of the rest.
+            let rest = set & (set - 1);
+            let mut least = f64::INFINITY;
+            let mut part = rest;
+            while part != 0 {
+                let sum = self.cost[part] + self.cost[set ^ part];
+                if sum < least {
+                    (least, self.left[set]) = (sum, (set ^ part) as u32);
+                }
+                part = (part - 1) & rest;
+            }
+            self.cost[set] = least + probability[set];
+        }
+    }
+
+    /// Least T of all leaves together.
+    pub fn least(&self) -> f64 {
+        self.cost.last().copied().unwrap_or(0.0)
+    }
+
+    /// Both sides of a set of at least two leaves.
+    pub fn sides(&self, set: usize) -> [usize; 2] {
+        let left = self.left[set] as usize;
+        [left, set ^ left]
+    }
+}
+
+/// Boxes around all sets of the leaves; that of the empty set is empty.
+pub fn unions(leaves: impl ExactSizeIterator<Item = PaddedAabb>, bounds: &mut Vec<PaddedAabb>) {
+    bounds.clear();
+    bounds.push(PaddedAabb::EMPTY);
+    for leaf in leaves {
+        for set in 0..bounds.len() {
+            bounds.push(bounds[set].union(&leaf));
+        }
+    }
+}
+
 /// The tree of least T over `leaves` (a box and the triangle it stands for), one a leaf, with any measure of boxes.
 ///
 /// # Errors
@@ -42,31 +101,15 @@ pub fn optimum(
     if count == 0 {
         return Ok(Optimum { tree, cost: 0.0 });
     }
-    let sets = 1usize << count;
-    let mut bounds = vec![PaddedAabb::EMPTY; sets];
-    let mut cost = vec![0.0f64; sets];
-    let mut left = vec![0usize; sets];
-    // A set's subsets have smaller numbers.
-    for set in 1..sets {
-        let lowest = set & set.wrapping_neg();
-        let rest = set ^ lowest;
-        bounds[set] = bounds[rest].union(&leaves[lowest.trailing_zeros() as usize].0.into());
-        if rest == 0 {
-            continue;
-        }
-        // Each division once: the side with the lowest leaf is `set` without a non-empty part of the rest.
-        let mut least = f64::INFINITY;
-        let mut part = rest;
-        while part != 0 {
-            let sum = cost[part] + cost[set ^ part];
-            if sum < least {
-                (least, left[set]) = (sum, set ^ part);
-            }
-            part = (part - 1) & rest;
-        }
-        cost[set] = least + probability(&bounds[set]);
-    }
-    let mut open = vec![(sets - 1, 0usize)];
+    let mut bounds = Vec::new();
+    unions(leaves.iter().map(|&(bounds, _)| bounds.into()), &mut bounds);
+    let value = |(set, bounds): (usize, &PaddedAabb)| {
+        if set.count_ones() < 2 { 0.0 } else { probability(bounds) }
+    };
+    let values: Vec<f64> = bounds.iter().enumerate().map(value).collect();
+    let mut divisions = Divisions::default();
+    divisions.find(&values);
+    let mut open = vec![(bounds.len() - 1, 0usize)];
     while let Some((set, place)) = open.pop() {
         let around = Aabb::from(bounds[set]);
         if set.is_power_of_two() {
@@ -76,8 +119,9 @@ pub fn optimum(
             let first = tree.nodes.len();
             tree.nodes[place] = Node::inner(around, first as u32, 2);
             tree.nodes.extend([Node::leaf(Aabb::EMPTY, 0, 0); 2]);
-            open.extend([(set ^ left[set], first + 1), (left[set], first)]);
+            let [left, right] = divisions.sides(set);
+            open.extend([(right, first + 1), (left, first)]);
         }
     }
-    Ok(Optimum { tree, cost: cost[sets - 1] })
+    Ok(Optimum { tree, cost: divisions.least() })
 }

@@ -18,7 +18,7 @@ use crate::random::Random;
 pub struct Config {
     /// Most rounds.
     pub rounds: usize,
-    /// Share of the inner nodes that a round picks, 0 to 1.
+    /// Share of the inner nodes that a round picks, 0 to 1; all of a small tree.
     pub share: f64,
     /// A round that lowers the cost by a smaller share than this counts as none; two in a row end it.
     pub least_gain: f64,
@@ -41,6 +41,9 @@ impl Default for Config {
         }
     }
 }
+
+/// So many nodes are picked in any case, if there are: small trees take no time.
+const LEAST: usize = 64;
 
 /// Dissolves inefficient nodes until it does not pay any more. One step a round.
 pub fn insert<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<Step> {
@@ -71,7 +74,7 @@ pub fn insert<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<Step
 fn picked<M: Measure>(working: &Working<M>, config: &Config, random: Option<&mut Random>) -> Vec<u32> {
     let mut nodes: Vec<u32> =
         (0..working.nodes.len() as u32).filter(|&node| !working.node(node).is_leaf()).collect();
-    let count = ((nodes.len() as f64 * config.share).ceil() as usize).min(nodes.len());
+    let count = ((nodes.len() as f64 * config.share).ceil() as usize).max(LEAST).min(nodes.len());
     match random {
         Some(random) => {
             for index in 0..count {

@@ -10,13 +10,15 @@
 //! 3. The two best of them, and the best with another exponent, in full. The cheapest tree of 1 and 3 wins.
 //! 4. The winner once more, from all training queries.
 //!
+//! In a scene of a dozen triangles or fewer, the optimiser of every recipe is the exact one: the best of all trees takes no time.
+//!
 //! A step for which no time is left is not begun, and optimisers stop at the end of it: what is best so far is the answer. Where the time suffices, the same input gives the same tree.
 
 use super::{Heuristic, Made, Recipe, RecipeError};
 use crate::builder::{self, Splits, spatial};
 use crate::format::bvh::Geometry;
 use crate::geometry::{Ray, Triangle};
-use crate::optimize::{Stage, reinsertion, rotations};
+use crate::optimize::{Stage, reinsertion, rotations, treelets};
 use crate::progress::Progress;
 use crate::training::queries::Query;
 use crate::traverse::{Counts, Prepared, PreparedRay, Recorded, Scratch, Traversal};
@@ -37,6 +39,9 @@ pub struct Config {
     /// Most primitives in a leaf.
     pub max_leaf: usize,
 }
+
+/// Most triangles of a scene for which all trees can be tried in no time.
+pub const EXHAUSTIVE: usize = 12;
 
 /// Ways to use rays that are tried.
 const HEURISTICS: [Heuristic; 5] = [
@@ -96,13 +101,26 @@ pub struct Scene<'a> {
 /// # Errors
 /// When there are no queries, or a cost is out of range.
 pub fn choose(scene: Scene, queries: &[Query], config: &Config) -> Result<Chosen, RecipeError> {
+    choose_with(scene, queries, config, scene.triangles.len() <= EXHAUSTIVE)
+}
+
+/// As [`choose`]; `exact` says whether the optimiser of every recipe is the exact one.
+///
+/// # Errors
+/// As [`choose`].
+pub fn choose_with(
+    scene: Scene,
+    queries: &[Query],
+    config: &Config,
+    exact: bool,
+) -> Result<Chosen, RecipeError> {
     if queries.is_empty() {
         return Err(RecipeError::NoRays("auto"));
     }
     let (judges, fit): (Vec<&Query>, Vec<&Query>) = queries.iter().partition(|query| query.judges);
     let judges = even(&judges, JUDGES);
     let segments: Vec<Ray> = fit.iter().map(|query| query.segment).collect();
-    let mut chooser = Chooser { scene, judges, config, started: Instant::now(), trials: Vec::new() };
+    let mut chooser = Chooser { scene, judges, config, exact, started: Instant::now(), trials: Vec::new() };
 
     let mut splits = Splits::Spatial(spatial::Options::default());
     let area = chooser.recipe(Heuristic::Sah, splits);
@@ -161,6 +179,7 @@ struct Chooser<'a> {
     scene: Scene<'a>,
     judges: Vec<&'a Query>,
     config: &'a Config,
+    exact: bool,
     started: Instant,
     trials: Vec<Trial>,
 }
@@ -174,10 +193,14 @@ impl Chooser<'_> {
     fn recipe(&self, heuristic: Heuristic, splits: Splits) -> Recipe {
         let Config { c_i, c_p, max_leaf, .. } = *self.config;
         let builder = builder::Config { splits, max_leaf, c_i, c_p, ..Default::default() };
-        let stages = vec![
-            Stage::Rotations(rotations::Config::default()),
-            Stage::Reinsertion(reinsertion::Config::default()),
-        ];
+        let stages = if self.exact {
+            vec![Stage::Treelets(treelets::Config { leaves: treelets::MAX_LEAVES, ..Default::default() })]
+        } else {
+            vec![
+                Stage::Rotations(rotations::Config::default()),
+                Stage::Reinsertion(reinsertion::Config::default()),
+            ]
+        };
         Recipe { heuristic, builder, stages, budget: None }
     }
 

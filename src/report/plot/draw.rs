@@ -228,7 +228,7 @@ impl<'a> Layout<'a> {
             .caption(&chart.title, title)
             .margin(8 * s)
             .margin_right(18 * s)
-            .set_label_area_size(LabelAreaPosition::Left, 58 * s)
+            .set_label_area_size(LabelAreaPosition::Left, names_width(&chart.y).max(58) * s)
             .set_label_area_size(LabelAreaPosition::Bottom, 44 * s)
             .build_cartesian_2d(chart.x.low..chart.x.high, chart.y.low..chart.y.high)?;
         let (x_step, y_step) = (step(&chart.x, 6.0), step(&chart.y, 6.0));
@@ -381,6 +381,13 @@ fn entry_width(label: &str) -> i32 {
     let text = (FAMILY, 13).into_font();
     let width = text.box_size(label).map_or(8 * label.chars().count() as u32, |size| size.0);
     37 + width as i32 + 20
+}
+
+/// Points that the names of an axis take beside it.
+fn names_width(axis: &super::Axis) -> i32 {
+    let font = (FAMILY, 12).into_font();
+    let width = |name: &String| font.box_size(name).map_or(0, |size| size.0 as i32);
+    axis.names.iter().map(width).max().map_or(0, |width| width + 12)
 }
 
 /// A round distance between ticks, so that there are about `count`.
