@@ -2,7 +2,8 @@
 //!
 //! Exit codes: 0 good, 1 a comparison failed, 2 bad input or usage. A broken pipe is success (`… | head`).
 
-use clap::ValueEnum;
+use clap::{Parser, ValueEnum};
+use std::ffi::OsString;
 use std::fmt;
 use std::io;
 use std::process::ExitCode;
@@ -37,6 +38,26 @@ impl<E: std::error::Error + 'static> From<E> for Failure {
     }
 }
 
+/// Parses a command line. Help and version go to the standard output, and the program ends well; what cannot be parsed ends it with one line
+/// and exit code 2.
+pub fn parse<A: Parser>(program: &str, words: impl IntoIterator<Item = OsString>) -> A {
+    A::try_parse_from(words).unwrap_or_else(|error| {
+        if !error.use_stderr() {
+            error.exit();
+        }
+        eprintln!("{program}: error: {}; see {program} --help", usage_line(&error.to_string()));
+        std::process::exit(2)
+    })
+}
+
+/// What clap says in several lines: the fault and its tips, without the usage.
+fn usage_line(text: &str) -> String {
+    let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
+    let said =
+        lines.take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more information"));
+    said.collect::<Vec<&str>>().join(" ").trim_start_matches("error: ").to_owned()
+}
+
 /// Runs a binary's body and turns its end into an exit code.
 pub fn run(program: &str, body: impl FnOnce() -> Result<Outcome, Failure>) -> ExitCode {
     match body() {
@@ -55,4 +76,30 @@ pub fn run(program: &str, body: impl FnOnce() -> Result<Outcome, Failure>) -> Ex
 pub enum TextOrJson {
     Text,
     Json,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn usage_is_one_line() {
+        #[derive(Debug, Parser)]
+        struct Arguments {
+            #[arg(long)]
+            budget: f64,
+            path: String,
+        }
+        let said = |words: &[&str]| {
+            let error = Arguments::try_parse_from([&["program"], words].concat()).unwrap_err();
+            usage_line(&error.to_string())
+        };
+        assert_eq!(
+            said(&["a", "--budget", "x"]),
+            "invalid value 'x' for '--budget <BUDGET>': invalid float literal"
+        );
+        assert!(said(&["--budget", "1"]).ends_with("arguments were not provided: <PATH>"));
+        let tip = said(&["a", "--budge", "1"]);
+        assert!(tip.starts_with("unexpected argument '--budge'") && tip.contains("'--budget'"), "{tip}");
+    }
 }

@@ -152,7 +152,7 @@ fn image_size(text: &str) -> Result<ImageSize, String> {
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments: Arguments = cli::parse(PROGRAM, std::env::args_os());
     cli::run(PROGRAM, || run(&arguments))
 }
 

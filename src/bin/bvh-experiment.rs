@@ -140,7 +140,7 @@ struct Scenes {
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments: Arguments = cli::parse("bvh-experiment", std::env::args_os());
     cli::run("bvh-experiment", || run(&arguments.experiment))
 }
 

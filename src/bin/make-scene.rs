@@ -86,7 +86,7 @@ impl Scene {
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments: Arguments = cli::parse("make-scene", std::env::args_os());
     cli::run("make-scene", || {
         let (default, largest) = arguments.scene.detail();
         let asked = arguments.triangles.map(|triangles| arguments.scene.detail_for(triangles));

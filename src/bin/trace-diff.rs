@@ -48,7 +48,7 @@ fn parse_tolerance(text: &str) -> Result<f32, String> {
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments: Arguments = cli::parse("trace-diff", std::env::args_os());
     cli::run("trace-diff", || {
         let a = MappedFile::open(&arguments.a)?;
         let b = MappedFile::open(&arguments.b)?;

@@ -41,7 +41,7 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments: Arguments = cli::parse("trace-info", std::env::args_os());
     cli::run("trace-info", || {
         let mut out = BufWriter::new(io::stdout().lock());
         let mut outcome = Outcome::Good;

@@ -328,7 +328,7 @@ mod tests {
         let direction = Vec3::new(0.49674717, 0.86588395, 0.05905305);
         let (x, z) = (-6.095_454_7, 8.997_925);
         let triangle = Triangle([
-            Vec3::new(x, 4.981_818_2, z),
+            Vec3::new(x, 4.981_818, z),
             Vec3::new(-6.1363635, 5.018_18, 8.998_131),
             Vec3::new(x, 5.018_18, z),
         ]);

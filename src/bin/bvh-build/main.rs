@@ -5,7 +5,6 @@ mod order;
 mod report;
 
 use arguments::Arguments;
-use clap::Parser;
 use embree_trace::builder::Splits;
 use embree_trace::cli::{self, Failure, Outcome};
 use embree_trace::files::{MappedFile, OutputFile};
@@ -38,7 +37,7 @@ struct Training {
 const BUDGET: Duration = Duration::from_secs(30);
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments: Arguments = cli::parse("bvh-build", std::env::args_os());
     cli::run("bvh-build", || run(&arguments))
 }
 

@@ -152,7 +152,7 @@ fn main() -> ExitCode {
         Some("render") => drop(arguments.remove(1)),
         _ => {}
     }
-    let arguments = Arguments::parse_from(arguments.into_iter().map(spelled));
+    let arguments: Arguments = cli::parse("embree-trace", arguments.into_iter().map(spelled));
     cli::run("embree-trace", || run(&arguments))
 }
 

@@ -1,7 +1,7 @@
 //! `embree-trace record`: runs a program and records what it asks Embree.
 
 use clap::{Parser, ValueEnum};
-use embree_trace::cli::{Failure, TextOrJson};
+use embree_trace::cli::{self, Failure, TextOrJson};
 use embree_trace::format::rays::Codec;
 use embree_trace::record::program::purpose::Rules;
 use embree_trace::record::program::select::Selection;
@@ -84,10 +84,10 @@ enum Purposes {
 /// `words` are those of the command line, with `record` as the second.
 pub fn main(mut words: Vec<OsString>) -> ExitCode {
     words.remove(1);
-    let arguments = Arguments::parse_from(words);
+    let arguments = cli::parse("embree-trace record", words);
     match run(arguments) {
         Ok(code) => ExitCode::from(code),
-        Err(failure) => embree_trace::cli::run("embree-trace record", || Err(failure)),
+        Err(failure) => cli::run("embree-trace record", || Err(failure)),
     }
 }
 
