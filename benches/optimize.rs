@@ -81,5 +81,10 @@ fn once<M: Measure>(tree: &mut Tree, measure: &M, config: &Config) {
     run(tree, measure, config, &Progress::hidden()).expect("a binary tree");
 }
 
-criterion_group!(benches, optimisers);
+criterion_group! {
+    name = benches;
+    // Its plots want a font that the machine may not have.
+    config = Criterion::default().without_plots();
+    targets = optimisers
+}
 criterion_main!(benches);
