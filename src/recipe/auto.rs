@@ -4,8 +4,8 @@
 //! are followed with the first and judged by what a depth-first traversal of the second really counts: box and primitive tests,
 //! occlusions that end early included. So a recipe that fits its own rays too well loses.
 //!
-//! 1. Trees from area alone, with the same optimisers, with spatial splits and with a full sweep: what rays have to beat. The cheaper is the answer
-//!    when they do not, and its splits are used from here on.
+//! 1. Trees from area alone, with spatial splits and with a full sweep, with the same optimisers and as they are built (optimisers raise what diffuse
+//!    rays cost on some objects): what rays have to beat. The cheapest is the answer when they do not, and the splits of the cheaper optimised one are used from here on.
 //! 2. Every way to use rays, quickly: few queries, rotations only.
 //! 3. The two best of them, and the best with another exponent, in full. The cheapest tree of 1 and 3 wins.
 //! 4. The winner once more, from all training queries.
@@ -79,7 +79,7 @@ pub struct Trial {
 pub struct Chosen {
     pub recipe: Recipe,
     pub made: Made,
-    /// In the order in which they were made; the first two are area alone. Empty when there were no queries to judge by, or no time.
+    /// In the order in which they were made; the first four are area alone. Empty when there were no queries to judge by, or no time.
     pub trials: Vec<Trial>,
     /// Which of the trials won.
     pub winner: Option<usize>,
@@ -126,11 +126,15 @@ pub fn choose_with(
     let area = chooser.recipe(Heuristic::Sah, splits);
     let mut made = vec![(chooser.follow(&area, &[])?, 0)];
     if !chooser.judges.is_empty() && !segments.is_empty() && chooser.seconds_left() > 0.0 {
-        let cost = chooser.judge(&area, 0, &made[0].0.tree);
-        if let Some((tree, sweep)) = chooser.attempt(&chooser.recipe(Heuristic::Sah, Splits::Sweep), &[])? {
-            made.push((tree, 1));
-            if sweep < cost {
-                splits = Splits::Sweep;
+        let spatial = chooser.judge(&area, 0, &made[0].0.tree);
+        let sweep = chooser.recipe(Heuristic::Sah, Splits::Sweep);
+        let as_built = |recipe: &Recipe| Recipe { stages: Vec::new(), ..recipe.clone() };
+        for recipe in [sweep.clone(), as_built(&sweep), as_built(&area)] {
+            if let Some((tree, cost)) = chooser.attempt(&recipe, &[])? {
+                made.push((tree, chooser.trials.len() - 1));
+                if recipe == sweep && cost < spatial {
+                    splits = Splits::Sweep;
+                }
             }
         }
         let few = even(&segments, QUICK);
