@@ -3,7 +3,7 @@
 use clap::{Parser, ValueEnum};
 use embree_trace::builder::{Config, Count, Splits};
 use embree_trace::cli::TextOrJson;
-use embree_trace::optimize::{Stage, annealing, insertion, reinsertion, rotations};
+use embree_trace::optimize::{Stage, annealing, insertion, reinsertion, rotations, treelets};
 use embree_trace::recipe::{Heuristic, Recipe};
 use embree_trace::replay::select::Filter;
 use embree_trace::tree::collapse;
@@ -143,6 +143,8 @@ pub enum Optimizer {
     Insertion,
     /// Every subtree to its best place, in parallel (Meister and Bittner 2018)
     Reinsertion,
+    /// The best tree over the seven largest subtrees below each node (Karras and Aila 2013)
+    Treelets,
 }
 
 fn share(text: &str) -> Result<f64, String> {
@@ -197,6 +199,7 @@ impl Arguments {
                 let default = insertion::Config::default();
                 Stage::Insertion(insertion::Config { rounds: or(default.rounds), seed, ..default })
             }
+            Optimizer::Treelets => Stage::Treelets(treelets::Config::default()),
             Optimizer::Reinsertion => {
                 let default = reinsertion::Config::default();
                 Stage::Reinsertion(reinsertion::Config { batches: or(default.batches), ..default })
