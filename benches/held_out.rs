@@ -9,7 +9,8 @@
 //! - *Limit*: the recipe that auto chose, trained on the very queries that are counted. It bounds this recipe, not all trees.
 //!
 //! Prints Markdown tables; progress goes to standard error. Environment: SIZE=WIDTHxHEIGHT of the picture; BUDGET, seconds for each auto, control and
-//! limit (by default 10, and 30 above 300,000 triangles); SAMPLE, queries of the recording of which the held-out ones are counted.
+//! limit (by default 10, and 30 above 300,000 triangles); SAMPLE, queries of the recording of which the held-out ones are counted;
+//! FIGURE, a folder for held-out.svg and .png.
 
 mod held_out_tables;
 mod peers;
@@ -62,6 +63,11 @@ fn main() {
         }
     }
     held_out_tables::print(&results);
+    if let Some(directory) = std::env::var_os("FIGURE")
+        && let Err(error) = held_out_tables::chart::write(&results, Path::new(&directory))
+    {
+        eprintln!("{error}");
+    }
 }
 
 fn from_environment<T: std::str::FromStr>(name: &str) -> Option<T> {

@@ -1,5 +1,7 @@
 //! The tables of `held_out`, as Markdown: ratios to the control, scene by scene, and their medians.
 
+pub mod chart;
+
 use std::fmt;
 
 /// What a tree is in the comparison.
