@@ -137,8 +137,7 @@ fn contenders<'a>(mesh: &'a Mesh, triangles: &'a [Triangle]) -> Vec<(&'static st
     let sweep = Config { splits: Splits::Sweep, ..Config::default() };
     let spatial = Config { splits: Splits::Spatial(Options::default()), ..Config::default() };
     let full = reinsertion::Config::default();
-    // The likeliest nodes once: most of the gain for little of the time.
-    let quick = reinsertion::Config { batches: 1, share: 0.05, ..full };
+    let quick = reinsertion::Config::QUICK;
     let leaves = |config| Config { max_leaf: 8, ..config };
     let theirs_obvhs = |params| theirs(peers::obvhs_crate::Obvhs(params), triangles);
     let mut contenders = vec![

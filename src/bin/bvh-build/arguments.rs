@@ -143,6 +143,8 @@ pub enum Optimizer {
     Insertion,
     /// Every subtree to its best place, in parallel (Meister and Bittner 2018)
     Reinsertion,
+    /// One batch of that over the likeliest twentieth: most of the gain for little of the time
+    QuickReinsertion,
     /// The best tree over the seven largest subtrees below each node (Karras and Aila 2013)
     Treelets,
 }
@@ -199,6 +201,7 @@ impl Arguments {
                 let default = insertion::Config::default();
                 Stage::Insertion(insertion::Config { rounds: or(default.rounds), seed, ..default })
             }
+            Optimizer::QuickReinsertion => Stage::Reinsertion(reinsertion::Config::QUICK),
             Optimizer::Treelets => Stage::Treelets(treelets::Config::default()),
             Optimizer::Reinsertion => {
                 let default = reinsertion::Config::default();

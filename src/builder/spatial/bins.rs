@@ -97,7 +97,12 @@ impl<const N: usize> Histogram<N> {
                     self.bounds[axis][entry] = self.bounds[axis][entry].union(&bounds);
                 } else if usable[axis] {
                     let triangle = &triangles[reference.triangle() as usize];
-                    chop(triangle, &bounds, axis, entry, &mut self.bounds[axis][entry..=exit], grid);
+                    let bins = &mut self.bounds[axis][entry..=exit];
+                    match axis {
+                        0 => chop::<0>(triangle, &bounds, entry, bins, grid),
+                        1 => chop::<1>(triangle, &bounds, entry, bins, grid),
+                        _ => chop::<2>(triangle, &bounds, entry, bins, grid),
+                    }
                 }
             }
         }
@@ -187,42 +192,45 @@ impl Cuts for Planes<'_> {
     }
 }
 
-/// Adds the parts of a triangle to the boxes of the bins that its reference spans, the first of which is number `first`.
-fn chop(
+/// Adds the parts of a triangle to the boxes of the bins that its reference spans on axis `AXIS`, the first of which is number `first`.
+#[inline]
+fn chop<const AXIS: usize>(
     triangle: &Triangle,
     reference: &PaddedAabb,
-    axis: usize,
     first: usize,
     bins: &mut [PaddedAabb],
     grid: &Grid,
 ) {
-    let mut corners = triangle.0.map(|vertex| vertex.extend(0.0));
-    // Ordered along the axis: a, b, c.
-    for (i, j) in [(0, 1), (1, 2), (0, 1)] {
-        if corners[i][axis] > corners[j][axis] {
-            corners.swap(i, j);
+    let [mut a, mut b, mut c] = triangle.0.map(|vertex| vertex.extend(0.0));
+    // Ordered along the axis.
+    let order = |low: &mut Vec4, high: &mut Vec4| {
+        if low[AXIS] > high[AXIS] {
+            std::mem::swap(low, high);
         }
-    }
-    let [a, b, c] = corners;
+    };
+    order(&mut a, &mut b);
+    order(&mut b, &mut c);
+    order(&mut a, &mut b);
+    let [a_at, b_at, c_at] = [a[AXIS], b[AXIS], c[AXIS]];
     // Where a plane meets the edge from a to c, and the one from a to b or from b to c.
     let inverse = |length: f32| if length > 0.0 { 1.0 / length } else { 0.0 };
-    let long = (c - a) * inverse(c[axis] - a[axis]);
-    let rising = (b - a) * inverse(b[axis] - a[axis]);
-    let falling = (c - b) * inverse(c[axis] - b[axis]);
+    let long = (c - a) * inverse(c_at - a_at);
+    let rising = (b - a) * inverse(b_at - a_at);
+    let falling = (c - b) * inverse(c_at - b_at);
     let section = |at: f32| {
-        let at = at.clamp(a[axis], c[axis]);
-        let on_long = a + long * (at - a[axis]);
-        let other = if at < b[axis] { a + rising * (at - a[axis]) } else { b + falling * (at - b[axis]) };
+        let at = at.clamp(a_at, c_at);
+        let on_long = a + long * (at - a_at);
+        let other = if at < b_at { a + rising * (at - a_at) } else { b + falling * (at - b_at) };
         PaddedAabb { lower: on_long.min(other), upper: on_long.max(other) }
     };
-    let mut from = reference.lower[axis];
+    let mut from = reference.lower[AXIS];
     let mut section_from = section(from);
     let last = bins.len() - 1;
     for (index, bin) in bins.iter_mut().enumerate() {
-        let to = if index == last { reference.upper[axis] } else { grid.plane(axis, first + index + 1) };
+        let to = if index == last { reference.upper[AXIS] } else { grid.plane(AXIS, first + index + 1) };
         let section_to = section(to);
         let mut part = section_from.union(&section_to);
-        if from <= b[axis] && b[axis] <= to {
+        if from <= b_at && b_at <= to {
             part = part.grown(b);
         }
         // Never outside the reference, and never inside out.
