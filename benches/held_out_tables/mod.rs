@@ -136,8 +136,39 @@ pub fn print(scenes: &[SceneResult]) {
     for (title, cost, columns) in by_purpose {
         ratios(scenes, title, cost, columns);
     }
+    against_sweep(scenes);
     occlusion(scenes);
     choices(scenes);
+}
+
+/// What the control and auto cost, relative to the plain full sweep: the baseline of most of the literature.
+fn against_sweep(scenes: &[SceneResult]) {
+    println!("\nRelative to the full sweep from area, as it is built (leaves of up to eight)\n");
+    println!(
+        "| scene | control, camera | auto, camera | control, diffuse | auto, diffuse | control, all | auto + order, all |"
+    );
+    println!("|---|--:|--:|--:|--:|--:|--:|");
+    let columns: [(Kind, Cost); 6] = [
+        (Kind::Area, |row| row.camera),
+        (Kind::Camera, |row| row.camera),
+        (Kind::Area, |row| row.diffuse),
+        (Kind::Auto, |row| row.diffuse),
+        (Kind::Area, |row| row.all),
+        (Kind::AutoOrder, |row| row.all),
+    ];
+    let mut all = [const { Vec::new() }; 6];
+    for scene in scenes {
+        let Some(sweep) = scene.rows.iter().find(|row| row.name == SWEEP) else { continue };
+        let mut line = format!("| {} |", scene.name);
+        for ((kind, cost), all) in columns.iter().zip(&mut all) {
+            let ratio = scene.best(*kind, *cost).map_or(f64::NAN, |(tests, _)| tests) / cost(sweep);
+            line += &format!(" {} |", number(ratio));
+            all.extend(ratio.is_finite().then_some(ratio));
+        }
+        println!("{line}");
+    }
+    let medians = all.each_mut().map(|ratios| number(median(ratios)));
+    println!("| **median** | {} |", medians.join(" | "));
 }
 
 /// A table of what trees cost, relative to the control.
