@@ -48,7 +48,8 @@ const HEURISTICS: [Heuristic; 5] = [
     Heuristic::Blend { weight: 0.5 },
     Heuristic::Blend { weight: 0.8 },
     Heuristic::Blend { weight: 0.95 },
-    Heuristic::Blend { weight: 1.0 },
+    // Not 1: where no training ray passes, area has to decide, or the tree is arbitrary there and ruinous for any other ray.
+    Heuristic::Blend { weight: 0.99 },
     Heuristic::Rdh { floor: 1.0 },
 ];
 
