@@ -231,7 +231,7 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         write_page(path, &comparison, &failures)?;
     }
     let text = match arguments.format {
-        Format::Table => table::render(&comparison),
+        Format::Table => table::render(&comparison, arguments.details),
         Format::Json => json::render(&comparison, &failures)? + "\n",
         Format::Csv => csv::render(&comparison),
     };

@@ -9,8 +9,8 @@ use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
 /// Columns of a terminal that everything fits in.
 const WIDTH: u16 = 100;
 
-/// The whole comparison: a block per recording.
-pub fn render(comparison: &Comparison) -> String {
+/// The whole comparison: a block per recording. `details`: also tests by level of the tree, where they were counted.
+pub fn render(comparison: &Comparison, details: bool) -> String {
     let names = names(comparison);
     let several = comparison.recordings.len() > 1;
     let mut text = String::new();
@@ -18,7 +18,7 @@ pub fn render(comparison: &Comparison) -> String {
         if several {
             text += &format!("Recording {}\n\n", recording.path);
         }
-        text += &block(comparison, recording, &names);
+        text += &block(comparison, recording, &names, details);
         if several {
             text.push('\n');
         }
@@ -33,12 +33,12 @@ pub fn render(comparison: &Comparison) -> String {
     text
 }
 
-fn block(comparison: &Comparison, recording: &RecordingResult, names: &[String]) -> String {
+fn block(comparison: &Comparison, recording: &RecordingResult, names: &[String], details: bool) -> String {
     let mut text = format!("Cost per query\n{}\n", summary(comparison, recording, names));
     text += &format!("\nTrees\n{}\n", trees(comparison, recording, names));
     text += &times(comparison, recording);
     for (index, traversal) in comparison.settings.traversals.iter().enumerate() {
-        if let Some(levels) = levels(recording, names, index) {
+        if let Some(levels) = levels(recording, names, index).filter(|_| details) {
             text += &format!("\nBy level of the tree, per query: {}\n{levels}\n", traversal.name());
         }
         text += &format!(

@@ -76,13 +76,14 @@ fn print_trials(out: &mut impl Write, auto: &Value) -> std::io::Result<()> {
     let Some(trials) = auto["trials"].as_array().filter(|trials| !trials.is_empty()) else { return Ok(()) };
     writeln!(
         out,
-        "{} judging queries: each\n{:<40}{:>10}{:>10}{:>10}",
+        "{} judging queries: each\n{:<54}{:>10}{:>10}{:>10}",
         auto["judges"], "", "fitted to", "cost", "ratio"
     )?;
     let cost = |trial: &Value| trial["cost"].as_f64().unwrap_or_default();
     for (index, trial) in trials.iter().enumerate() {
         let recipe = &trial["recipe"];
-        let mut name = recipe["heuristic"].as_str().unwrap_or_default().to_owned();
+        let text = |key: &str| recipe[key].as_str().unwrap_or_default();
+        let mut name = format!("{} {}", text("splits"), text("heuristic"));
         if let Some(weight) = recipe["weight"].as_f64() {
             name += &format!(" {weight}");
         }
@@ -96,7 +97,7 @@ fn print_trials(out: &mut impl Write, auto: &Value) -> std::io::Result<()> {
         let ratio = cost(trial) / cost(&trials[0]);
         writeln!(
             out,
-            "{name:<40}{:>10}{:>10.2}{ratio:>10.3}{chosen}",
+            "{name:<54}{:>10}{:>10.2}{ratio:>10.3}{chosen}",
             trial["queries"].to_string(),
             cost(trial)
         )?;
