@@ -11,7 +11,6 @@ use super::measure::Measure;
 use super::rotations::{self, KINDS, climb, gain, rotate};
 use super::working::Working;
 use crate::random::Random;
-use rayon::prelude::*;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
@@ -38,19 +37,11 @@ pub fn anneal<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<Step
     let cost = working.cost();
     let (roots, top) = working.cut();
     let share = config.max_work / (roots.len() as u64 + 2);
-    let mut subtrees: Vec<_> = roots.iter().map(|&root| working.take(root)).collect();
-    let counts: Vec<(u64, u64)> = subtrees
-        .par_iter_mut()
-        .enumerate()
-        .map(|(number, (subtree, _))| {
-            let order = subtree.order();
-            let inner = order.into_iter().filter(|&index| !subtree.node(index).is_leaf()).collect();
-            sweep(subtree, inner, config, share, 1 + number as u64)
-        })
-        .collect();
-    for (subtree, numbers) in subtrees {
-        working.put_back(subtree, &numbers);
-    }
+    let counts: Vec<(u64, u64)> = working.apart(&roots, |number, subtree| {
+        let order = subtree.order();
+        let inner = order.into_iter().filter(|&index| !subtree.node(index).is_leaf()).collect();
+        sweep(subtree, inner, config, share, 1 + number as u64)
+    });
     let (mut moves, mut work) = counts.iter().fold((0, 0), |sum, count| (sum.0 + count.0, sum.1 + count.1));
     let mut steps = vec![Step { cost: working.cost(), moves, work }];
     let (top_moves, top_work) = sweep(working, top, config, share, 0);

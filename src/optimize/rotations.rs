@@ -11,7 +11,6 @@ use super::Step;
 use super::measure::Measure;
 use super::working::Working;
 use crate::geometry::padded::PaddedAabb;
-use rayon::prelude::*;
 
 /// How to climb.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -143,18 +142,11 @@ pub(super) fn rotate<M: Measure>(working: &mut Working<M>, index: u32, kind: usi
 /// subtrees side by side, then at their tops and wherever that opens a way below.
 pub fn climb<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<Step> {
     let (roots, top) = working.cut();
-    let mut subtrees: Vec<_> = roots.iter().map(|&root| working.take(root)).collect();
     let share = config.max_work / (roots.len() as u64 + 1);
-    let mut counts: Vec<Count> = subtrees
-        .par_iter_mut()
-        .map(|(subtree, _)| {
-            let open = subtree.order();
-            climb_from(subtree, open, share)
-        })
-        .collect();
-    for (subtree, numbers) in subtrees {
-        working.put_back(subtree, &numbers);
-    }
+    let mut counts = working.apart(&roots, |_, subtree| {
+        let open = subtree.order();
+        climb_from(subtree, open, share)
+    });
     let below = Count::sum(&counts);
     let mut steps = vec![below.step(working)];
     // A changed subtree has the same box: at its root and at the top everything is as before, only above it may see other grandchildren.

@@ -11,7 +11,6 @@ use super::measure::Measure;
 use super::working::Working;
 use crate::builder::exhaustive::{Divisions, MAX_PRIMITIVES, unions};
 use crate::geometry::padded::PaddedAabb;
-use rayon::prelude::*;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
@@ -45,17 +44,10 @@ pub fn restructure<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec
     let (mut cost, mut count) = (working.cost(), Count::default());
     for _ in 0..config.rounds {
         let (roots, top) = working.cut();
-        let mut subtrees: Vec<_> = roots.iter().map(|&root| working.take(root)).collect();
-        let counts: Vec<Count> = subtrees
-            .par_iter_mut()
-            .map(|(subtree, _)| {
-                let order = subtree.order();
-                round(subtree, &order, config.leaves)
-            })
-            .collect();
-        for (subtree, numbers) in subtrees {
-            working.put_back(subtree, &numbers);
-        }
+        let counts = working.apart(&roots, |_, subtree| {
+            let order = subtree.order();
+            round(subtree, &order, config.leaves)
+        });
         counts.iter().for_each(|done| count.add(done));
         count.add(&round(working, &top, config.leaves));
         let new = working.cost();

@@ -7,6 +7,7 @@
 use super::measure::Measure;
 use crate::geometry::padded::PaddedAabb;
 use crate::tree::{LEAF_BIT, Node as FileNode, Tree};
+use rayon::prelude::*;
 use std::time::Instant;
 
 /// No parent.
@@ -259,9 +260,21 @@ impl<'m, M: Measure> Working<'m, M> {
         order
     }
 
+    /// Does `work` on each of the disjoint subtrees below `roots`, a tree of its own meanwhile, on the threads of the current rayon pool.
+    /// `work` is also told which of them it has; what it returns comes in their order.
+    pub fn apart<T: Send>(&mut self, roots: &[u32], work: impl Fn(usize, &mut Self) -> T + Sync) -> Vec<T> {
+        let mut subtrees: Vec<_> = roots.iter().map(|&root| self.take(root)).collect();
+        let done =
+            subtrees.par_iter_mut().enumerate().map(|(number, (subtree, _))| work(number, subtree)).collect();
+        for (subtree, numbers) in subtrees {
+            self.put_back(subtree, &numbers);
+        }
+        done
+    }
+
     /// Takes the subtree below `root` out as a tree of its own, whose node i was `numbers[i]`. Its lists are moved, and
     /// must come back by [`Self::put_back`] before this tree is used again below `root`.
-    pub fn take(&mut self, root: u32) -> (Working<'m, M>, Vec<u32>) {
+    fn take(&mut self, root: u32) -> (Working<'m, M>, Vec<u32>) {
         let mut numbers = vec![root];
         let mut nodes = Vec::new();
         while let Some(&number) = numbers.get(nodes.len()) {
@@ -287,7 +300,7 @@ impl<'m, M: Measure> Working<'m, M> {
     }
 
     /// Puts a subtree back where it was.
-    pub fn put_back(&mut self, subtree: Working<'m, M>, numbers: &[u32]) {
+    fn put_back(&mut self, subtree: Working<'m, M>, numbers: &[u32]) {
         let parent = self.node(numbers[0]).parent;
         let Working { nodes, values, lists, .. } = subtree;
         for (((node, value), list), &number) in nodes.into_iter().zip(values).zip(lists).zip(numbers) {
