@@ -58,12 +58,31 @@ impl Selection {
         if chosen.is_empty() {
             return Err(TrainingError::NoQueries(rays.query_count()));
         }
-        if chosen.len() <= self.most {
-            return Ok(chosen);
-        }
-        let place = |index: usize| (index as u128 * chosen.len() as u128 / self.most as u128) as usize;
-        Ok((0..self.most).map(|index| chosen[place(index)]).collect())
+        Ok(even(&chosen, self.most))
     }
+}
+
+/// Leaves an even part of at most `most`.
+fn thin<T>(queries: &mut Vec<T>, most: usize) {
+    let count = queries.len();
+    if count <= most {
+        return;
+    }
+    let mut place = 0;
+    // One is kept wherever the running share of `most` reaches a new whole number.
+    queries.retain(|_| {
+        let share = |place: usize| place as u128 * most as u128 / count as u128;
+        place += 1;
+        share(place) > share(place - 1)
+    });
+}
+
+/// At most `most` of `all`, evenly chosen.
+pub(crate) fn even<T: Clone>(all: &[T], most: usize) -> Vec<T> {
+    if all.len() <= most {
+        return all.to_vec();
+    }
+    (0..most).map(|index| all[(index as u128 * all.len() as u128 / most as u128) as usize].clone()).collect()
 }
 
 /// What the program refused of one record of a chunk; they are sorted by record.

@@ -20,6 +20,7 @@ use crate::format::bvh::Geometry;
 use crate::geometry::{Ray, Triangle};
 use crate::optimize::{Stage, reinsertion, rotations, treelets};
 use crate::progress::Progress;
+use crate::training::even;
 use crate::training::queries::Query;
 use crate::traverse::{Counts, Prepared, PreparedRay, Recorded, Scratch, Traversal};
 use crate::tree::Tree;
@@ -255,14 +256,6 @@ fn count(scene: Scene, tree: &Tree, queries: &[&Query]) -> Counts {
         a
     };
     queries.par_chunks(1 << 10).map(count).reduce(Counts::default, add)
-}
-
-/// At most `most` of `all`, evenly chosen.
-fn even<T: Clone>(all: &[T], most: usize) -> Vec<T> {
-    if all.len() <= most {
-        return all.to_vec();
-    }
-    (0..most).map(|index| all[(index as u128 * all.len() as u128 / most as u128) as usize].clone()).collect()
 }
 
 impl Chosen {

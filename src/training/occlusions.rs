@@ -1,7 +1,7 @@
 //! Recorded occlusion queries, whole: with the masks and rejects that decide which triangles occlude. They choose and judge
 //! the order in which occlusion queries visit children ([`crate::optimize::order`]).
 
-use super::{Selection, TrainingError, rejects_of, same_scene};
+use super::{Selection, TrainingError, rejects_of, same_scene, thin};
 use crate::format::bvh::Bvh;
 use crate::format::rays::{Rays, Reject};
 use crate::geometry::Ray;
@@ -64,19 +64,4 @@ pub fn read(selection: &Selection, rays: &Rays, bvh: &Bvh) -> Result<Occlusions,
     thin(&mut all.training, selection.most);
     thin(&mut all.held_out, selection.most);
     Ok(all)
-}
-
-/// Leaves an even part of at most `most`.
-fn thin(queries: &mut Vec<Occlusion>, most: usize) {
-    let count = queries.len();
-    if count <= most {
-        return;
-    }
-    let mut place = 0;
-    // One is kept wherever the running share of `most` reaches a new whole number.
-    queries.retain(|_| {
-        let share = |place: usize| place as u128 * most as u128 / count as u128;
-        place += 1;
-        share(place) > share(place - 1)
-    });
 }

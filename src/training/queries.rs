@@ -1,6 +1,6 @@
 //! Training queries, whole: with the masks and rejects that decide what they hit. [`crate::recipe::auto`] judges trees by them.
 
-use super::{Selection, TrainingError, rejects_of, same_scene};
+use super::{Selection, TrainingError, rejects_of, same_scene, thin};
 use crate::format::bvh::Bvh;
 use crate::format::rays::{Rays, Reject};
 use crate::geometry::Ray;
@@ -53,21 +53,10 @@ pub fn read(selection: &Selection, rays: &Rays, bvh: &Bvh) -> Result<Vec<Query>,
         }
         found
     })?;
-    let all: Vec<Query> = found.concat();
+    let mut all: Vec<Query> = found.concat();
     if all.is_empty() {
         return Err(TrainingError::NoQueries(rays.query_count()));
     }
-    if all.len() <= selection.most {
-        return Ok(all);
-    }
-    let count = all.len() as u128;
-    let most = selection.most as u128;
-    // One is kept wherever the running share of `most` reaches a new whole number.
-    let share = |place: u128| place * most / count;
-    Ok(all
-        .into_iter()
-        .zip(0u128..)
-        .filter(|&(_, place)| share(place + 1) > share(place))
-        .map(|(query, _)| query)
-        .collect())
+    thin(&mut all, selection.most);
+    Ok(all)
 }
