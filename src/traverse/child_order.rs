@@ -31,6 +31,9 @@ pub trait ChildOrder {
     /// Whether `a` is visited before `b`; both are children of `parent` that the ray overlaps.
     fn precedes(&self, parent: &Link, a: &Link, b: &Link) -> bool;
 
+    /// A way to [`Self::enter`] that the form of the tree has of its own; without one, children are sorted.
+    const SHORTCUT: Option<Shortcut> = None;
+
     /// The child visited first, if any is overlapped; the others go onto the stack, the last of them first. `found`
     /// is called with each.
     #[inline(always)]
@@ -43,35 +46,35 @@ pub trait ChildOrder {
         found: impl Fn(&Link),
         stack: &mut Stack,
     ) -> Option<Link> {
-        entered(self, form, parent, ray, tfar, found, stack)
+        match Self::SHORTCUT {
+            Some(Shortcut::Nearest) => return form.nearest(parent, ray, tfar, found, stack),
+            Some(Shortcut::First) => return form.first(parent, ray, tfar, found, stack),
+            None => {}
+        }
+        let before = stack.len();
+        form.each(parent, ray, tfar, |link| {
+            found(&link);
+            stack.push(link);
+        });
+        let pushed = stack.above(before);
+        for end in 1..pushed.len() {
+            let mut place = end;
+            while place > 0 && self.precedes(parent, &pushed[place - 1], &pushed[place]) {
+                pushed.swap(place - 1, place);
+                place -= 1;
+            }
+        }
+        if stack.len() > before { stack.pop() } else { None }
     }
 }
 
-/// [`ChildOrder::enter`] by sorting.
-#[inline(always)]
-fn entered<M: Machine, F: Form<M>>(
-    order: &(impl ChildOrder + ?Sized),
-    form: &F,
-    parent: &Link,
-    ray: &F::Ray,
-    tfar: f32,
-    found: impl Fn(&Link),
-    stack: &mut Stack,
-) -> Option<Link> {
-    let before = stack.len();
-    form.each(parent, ray, tfar, |link| {
-        found(&link);
-        stack.push(link);
-    });
-    let pushed = stack.above(before);
-    for end in 1..pushed.len() {
-        let mut place = end;
-        while place > 0 && order.precedes(parent, &pushed[place - 1], &pushed[place]) {
-            pushed.swap(place - 1, place);
-            place -= 1;
-        }
-    }
-    if stack.len() > before { stack.pop() } else { None }
+/// See [`ChildOrder::SHORTCUT`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shortcut {
+    /// [`Form::nearest`].
+    Nearest,
+    /// [`Form::first`].
+    First,
 }
 
 /// Rule [`rule::NEAREST`] for every node.
@@ -79,22 +82,11 @@ fn entered<M: Machine, F: Form<M>>(
 pub(super) struct NearestFirst;
 
 impl ChildOrder for NearestFirst {
+    const SHORTCUT: Option<Shortcut> = Some(Shortcut::Nearest);
+
     #[inline(always)]
     fn precedes(&self, _parent: &Link, a: &Link, b: &Link) -> bool {
         nearer(a, b)
-    }
-
-    #[inline(always)]
-    fn enter<M: Machine, F: Form<M>>(
-        &self,
-        form: &F,
-        parent: &Link,
-        ray: &F::Ray,
-        tfar: f32,
-        found: impl Fn(&Link),
-        stack: &mut Stack,
-    ) -> Option<Link> {
-        form.nearest(parent, ray, tfar, found, stack)
     }
 }
 
@@ -108,26 +100,11 @@ fn nearer(a: &Link, b: &Link) -> bool {
 pub(super) struct Always<const RULE: u8>;
 
 impl<const RULE: u8> ChildOrder for Always<RULE> {
+    const SHORTCUT: Option<Shortcut> = if RULE == rule::FIRST { Some(Shortcut::First) } else { None };
+
     #[inline(always)]
     fn precedes(&self, _parent: &Link, a: &Link, b: &Link) -> bool {
         by_rule(RULE, a, b)
-    }
-
-    #[inline(always)]
-    fn enter<M: Machine, F: Form<M>>(
-        &self,
-        form: &F,
-        parent: &Link,
-        ray: &F::Ray,
-        tfar: f32,
-        found: impl Fn(&Link),
-        stack: &mut Stack,
-    ) -> Option<Link> {
-        if RULE == rule::FIRST {
-            form.first(parent, ray, tfar, found, stack)
-        } else {
-            entered(self, form, parent, ray, tfar, found, stack)
-        }
     }
 }
 

@@ -147,7 +147,10 @@ impl<M: Supports<N>, const N: usize> Form<M> for Groups<N> {
         let (index, children) = (parent.first as usize, parent.count as usize);
         if children > N {
             let before = stack.len();
-            <Self as Form<M>>::each(self, parent, ray, tfar, |link| stack.insert(before, link));
+            <Self as Form<M>>::each(self, parent, ray, tfar, |link| {
+                found(&link);
+                stack.insert(before, link);
+            });
             return if stack.len() > before { stack.pop() } else { None };
         }
         let group = &self.groups[index];

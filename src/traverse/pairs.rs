@@ -77,6 +77,41 @@ impl Pairs {
     fn link(pair: &Pair, index: u32, side: usize, entry: f32) -> Link {
         Link::to(2 * index + 1 + side as u32, pair.below[side & 1], entry)
     }
+
+    /// The child visited first, if any is overlapped; the other one goes onto the stack. `right_first` is asked with where the ray enters
+    /// both. `found` is called with each as soon as it is known.
+    #[inline(always)]
+    fn entered(
+        &self,
+        parent: &Link,
+        ray: &PairRay,
+        tfar: f32,
+        right_first: impl Fn(f32, f32) -> bool,
+        found: impl Fn(&Link),
+        stack: &mut Stack,
+    ) -> Option<Link> {
+        let pair = &self.pairs[parent.first as usize];
+        let (mask, left, right) = Self::test(pair, ray, tfar);
+        // With branches, not arithmetic: where they are predicted, the next pair is on its way before this one is decided.
+        let link = |side: usize, entry: f32| {
+            let link = Self::link(pair, parent.first, side, entry);
+            found(&link);
+            link
+        };
+        if mask & 1 == 0 {
+            return if mask == 0 { None } else { Some(link(1, right)) };
+        }
+        if mask & 2 == 0 {
+            return Some(link(0, left));
+        }
+        if right_first(left, right) {
+            stack.push(link(0, left));
+            Some(link(1, right))
+        } else {
+            stack.push(link(1, right));
+            Some(link(0, left))
+        }
+    }
 }
 
 /// A ray as pairs are tested against it.
@@ -130,27 +165,7 @@ impl<M: Machine> Form<M> for Pairs {
         found: impl Fn(&Link),
         stack: &mut Stack,
     ) -> Option<Link> {
-        let pair = &self.pairs[parent.first as usize];
-        let (mask, left, right) = Self::test(pair, ray, tfar);
-        // With branches, not arithmetic: where they are predicted, the next pair is on its way before this one is decided.
-        let link = |side: usize, entry: f32| {
-            let link = Self::link(pair, parent.first, side, entry);
-            found(&link);
-            link
-        };
-        if mask & 1 == 0 {
-            return if mask == 0 { None } else { Some(link(1, right)) };
-        }
-        if mask & 2 == 0 {
-            return Some(link(0, left));
-        }
-        if right < left {
-            stack.push(link(0, left));
-            Some(link(1, right))
-        } else {
-            stack.push(link(1, right));
-            Some(link(0, left))
-        }
+        self.entered(parent, ray, tfar, |left, right| right < left, found, stack)
     }
 
     #[inline(always)]
@@ -162,20 +177,7 @@ impl<M: Machine> Form<M> for Pairs {
         found: impl Fn(&Link),
         stack: &mut Stack,
     ) -> Option<Link> {
-        let pair = &self.pairs[parent.first as usize];
-        let (mask, left, right) = Self::test(pair, ray, tfar);
-        let link = |side: usize, entry: f32| {
-            let link = Self::link(pair, parent.first, side, entry);
-            found(&link);
-            link
-        };
-        if mask & 1 == 0 {
-            return if mask == 0 { None } else { Some(link(1, right)) };
-        }
-        if mask & 2 != 0 {
-            stack.push(link(1, right));
-        }
-        Some(link(0, left))
+        self.entered(parent, ray, tfar, |_, _| false, found, stack)
     }
 }
 
