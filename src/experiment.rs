@@ -80,7 +80,7 @@ pub struct Row {
 ///
 /// # Errors
 /// What `out` says.
-pub fn write_csv(rows: &[Row], out: &mut impl Write) -> io::Result<()> {
+pub fn write_csv(rows: &[Row], out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "experiment,focus,trial,weight,bvh_cost,rays,t_r")?;
     for Row { experiment, focus, trial, weight, cost } in rows {
         let Cost { rays, box_tests, t_r } = cost;

@@ -151,28 +151,28 @@ fn run(experiment: &Experiment) -> Result<Outcome, Failure> {
             let rows = experiment::shapes::run(&settings, *optimize)?;
             options.save(&Shape::ALL, &settings)?;
             write!(std::io::stdout(), "{}", experiment::shapes::markdown(&rows))?;
-            let csv = |out: &mut OutputFile| experiment::write_csv(&rows, out);
+            let csv = |out: &mut dyn Write| experiment::write_csv(&rows, out);
             options.common.write("shapes", csv, experiment::shapes::figure(&rows))
         }
         Experiment::Blend(options) => {
             let settings = options.settings();
             let rows = experiment::blend::run(&settings)?;
             options.save(&[Shape::Sphere], &settings)?;
-            let csv = |out: &mut OutputFile| experiment::write_csv(&rows, out);
+            let csv = |out: &mut dyn Write| experiment::write_csv(&rows, out);
             options.common.write("blend", csv, experiment::blend::figure(&rows))
         }
         Experiment::Alpha(scene) => {
             let rows = scene.traced.with(&scene.scene, scene.rays(), |_, trace| {
                 experiment::alpha::run(trace, &scene.traced.settings(1))
             })?;
-            let csv = |out: &mut OutputFile| experiment::alpha::write_csv(&rows, out);
+            let csv = |out: &mut dyn Write| experiment::alpha::write_csv(&rows, out);
             scene.traced.common.write("alpha", csv, experiment::alpha::figure(&rows, &scene.name()))
         }
         Experiment::Traversal(scene) => {
             let rows = scene
                 .traced
                 .with(&scene.scene, scene.rays(), |_, trace| experiment::traversal::run(trace))?;
-            let csv = |out: &mut OutputFile| experiment::traversal::write_csv(&rows, out);
+            let csv = |out: &mut dyn Write| experiment::traversal::write_csv(&rows, out);
             scene.traced.common.write("traversal", csv, experiment::traversal::figure(&rows, &scene.name()))
         }
         Experiment::StaticCost(scene) => {
@@ -180,7 +180,7 @@ fn run(experiment: &Experiment) -> Result<Outcome, Failure> {
                 .traced
                 .with(&scene.scene, scene.rays(), |_, trace| experiment::static_cost::run(trace))?;
             let common = &scene.traced.common;
-            let csv = |out: &mut OutputFile| experiment::static_cost::write_csv(&rows, out);
+            let csv = |out: &mut dyn Write| experiment::static_cost::write_csv(&rows, out);
             let siblings = experiment::static_cost::siblings(&rows, &scene.name());
             let figures = [
                 ("static-cost", experiment::static_cost::scatter(&rows, &scene.name())),
@@ -192,7 +192,7 @@ fn run(experiment: &Experiment) -> Result<Outcome, Failure> {
             let rows = scene.traced.with(&scene.scene, scene.rays(), |_, trace| {
                 experiment::sampling::run(trace, &scene.traced.settings(*trials))
             })?;
-            let csv = |out: &mut OutputFile| experiment::sampling::write_csv(&rows, out);
+            let csv = |out: &mut dyn Write| experiment::sampling::write_csv(&rows, out);
             scene.traced.common.write("sampling", csv, experiment::sampling::figure(&rows, &scene.name()))
         }
         Experiment::Scenes(options) => {
@@ -204,7 +204,7 @@ fn run(experiment: &Experiment) -> Result<Outcome, Failure> {
                 })?);
             }
             write!(std::io::stdout(), "{}", experiment::scenes::markdown(&rows))?;
-            let csv = |out: &mut OutputFile| experiment::scenes::write_csv(&rows, out);
+            let csv = |out: &mut dyn Write| experiment::scenes::write_csv(&rows, out);
             options.traced.common.write("scenes", csv, experiment::scenes::figure(&rows))
         }
         Experiment::Optimum(Optimum { common, scenes, triangles }) => {
@@ -212,7 +212,7 @@ fn run(experiment: &Experiment) -> Result<Outcome, Failure> {
             let settings = Settings { quick: common.quick, seed: common.seed, trials };
             let rows = experiment::optimum::run(&settings, *triangles as usize)?;
             write!(std::io::stdout(), "{}", experiment::optimum::markdown(&rows))?;
-            let csv = |out: &mut OutputFile| experiment::optimum::write_csv(&rows, out);
+            let csv = |out: &mut dyn Write| experiment::optimum::write_csv(&rows, out);
             common.write("optimum", csv, experiment::optimum::figure(&rows, *triangles as usize))
         }
     }
@@ -290,7 +290,7 @@ impl Common {
     fn write(
         &self,
         name: &'static str,
-        csv: impl FnOnce(&mut OutputFile) -> std::io::Result<()>,
+        csv: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
         figure: Figure,
     ) -> Result<Outcome, Failure> {
         self.write_all(name, csv, &[(name, figure)])
@@ -300,14 +300,12 @@ impl Common {
     fn write_all(
         &self,
         name: &str,
-        csv: impl FnOnce(&mut OutputFile) -> std::io::Result<()>,
+        csv: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
         figures: &[(&str, Figure)],
     ) -> Result<Outcome, Failure> {
         make_directory(&self.out)?;
         let path = self.out.join(format!("{name}.csv"));
-        let mut file = OutputFile::create(&path)?;
-        csv(&mut file).map_err(|error| file.write_error(error))?;
-        file.commit()?;
+        OutputFile::create(&path)?.commit_with(csv)?;
         let mut written = format!("{}\n", path.display());
         for (name, figure) in figures {
             figure.write(&self.out, name)?;

@@ -66,7 +66,7 @@ pub fn run(trace: &Trace, settings: &Settings) -> Result<Vec<Row>, ExperimentErr
 ///
 /// # Errors
 /// What `out` says.
-pub fn write_csv(rows: &[Row], out: &mut impl Write) -> io::Result<()> {
+pub fn write_csv(rows: &[Row], out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "alpha,probability,count,t_r_training,t_r_held_out")?;
     for row in rows {
         let probability = if row.rays { "rays" } else { "area" };

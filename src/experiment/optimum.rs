@@ -221,7 +221,7 @@ fn run_scene(
 ///
 /// # Errors
 /// What `out` says.
-pub fn write_csv(rows: &[Row], out: &mut impl Write) -> io::Result<()> {
+pub fn write_csv(rows: &[Row], out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "scene,tree,t_r,least_t_r,t_u,least_t_u")?;
     for Row { scene, tree, t_r, least_t_r, t_u, least_t_u } in rows {
         writeln!(out, "{scene},{tree},{t_r},{least_t_r},{t_u},{least_t_u}")?;

@@ -101,7 +101,7 @@ fn draw(groups: &[u64], count: usize, random: &mut Random) -> HashSet<u64> {
 ///
 /// # Errors
 /// What `out` says.
-pub fn write_csv(rows: &[Row], out: &mut impl Write) -> io::Result<()> {
+pub fn write_csv(rows: &[Row], out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "estimate,edge,trial,training_queries,t_r,relative")?;
     for Row { estimate, edge, trial, training, t_r, relative } in rows {
         writeln!(out, "{estimate},{edge},{trial},{training},{t_r:.4},{relative:.5}")?;

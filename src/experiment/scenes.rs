@@ -154,7 +154,7 @@ fn count(tree: &Prepared, queries: &[Query]) -> Counts {
 ///
 /// # Errors
 /// What `out` says.
-pub fn write_csv(rows: &[Row], out: &mut impl Write) -> io::Result<()> {
+pub fn write_csv(rows: &[Row], out: &mut dyn Write) -> io::Result<()> {
     writeln!(
         out,
         "scene,builder,triangles,training_queries,held_out_queries,box_tests,primitive_tests,tests,relative,seconds"

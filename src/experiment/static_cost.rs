@@ -84,7 +84,7 @@ pub fn run(trace: &Trace) -> Result<Vec<Row>, ExperimentError> {
 ///
 /// # Errors
 /// What `out` says.
-pub fn write_csv(rows: &[Row], out: &mut impl Write) -> io::Result<()> {
+pub fn write_csv(rows: &[Row], out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "node,parent,level,primitives,p_u,t_u,p_r,t_r")?;
     for Row { node, parent, level, primitives, p_u, t_u, p_r, t_r } in rows {
         writeln!(out, "{node},{parent},{level},{primitives},{p_u:e},{t_u:e},{p_r},{t_r}")?;

@@ -56,7 +56,7 @@ pub fn run(trace: &Trace) -> Result<Vec<Row>, ExperimentError> {
 ///
 /// # Errors
 /// What `out` says.
-pub fn write_csv(rows: &[Row], out: &mut impl Write) -> io::Result<()> {
+pub fn write_csv(rows: &[Row], out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "node,level,ray_order,odf")?;
     for Row { node, level, ray_order, odf } in rows {
         writeln!(out, "{node},{level},{ray_order},{odf}")?;
