@@ -18,7 +18,7 @@
 //! # Invariants
 //!
 //! 1. `format` knows neither builders nor Embree.
-//! 2. Builders and optimisers see boxes, and rays only through a probability; `optimize::order` alone sees whole queries.
+//! 2. Builders and optimisers see boxes, and rays only through a probability; whole queries are seen by `optimize::order`, which chooses orders, and `recipe::auto`, which judges trees.
 //! 3. Same input, same seed: same bytes out, whatever the number of threads.
 //! 4. `traverse` is the only code that counts, and allocates nothing per query.
 //! 5. No input file makes a tool panic, read out of bounds, loop or allocate without limit.
