@@ -6,10 +6,11 @@
 //! - *Control*: of the trees from area alone (spatial splits and full sweep, as built and with the same optimisers and leaves for the same
 //!   time), the one that costs the held-out queries least. That choice is the judges' own: the control could not be stronger.
 //! - *Other camera*: auto, trained on a recording of the same scene from elsewhere.
+//! - *A tree a purpose*: camera queries in auto's tree for camera queries, shadow queries in its tree for shadow queries with their order, the others in its tree for all.
 //! - *Limit*: the recipe that auto chose, trained on the very queries that are counted. It bounds this recipe, not all trees.
 //!
 //! Prints Markdown tables; progress goes to standard error. Environment: SIZE=WIDTHxHEIGHT of the picture; BUDGET, seconds for each auto, control and
-//! limit (by default 10, and 30 above 300,000 triangles); SAMPLE, queries of the recording of which the held-out ones are counted;
+//! limit (by default 15, 30 above 300,000 and 90 above 2,000,000 triangles); SAMPLE, queries of the recording of which the held-out ones are counted;
 //! FIGURE, a folder for held-out.svg and .png.
 
 mod held_out_tables;
@@ -22,7 +23,7 @@ use embree_trace::format::bvh::Bvh;
 use embree_trace::format::rays::{Purpose, Rays};
 use embree_trace::geometry::Ray;
 use embree_trace::mesh::{self, Mesh};
-use embree_trace::optimize::{Stage, order, reinsertion, rotations};
+use embree_trace::optimize::{Stage, order, reinsertion, rotations, treelets};
 use embree_trace::progress::Progress;
 use embree_trace::recipe::{Heuristic, Recipe, auto};
 use embree_trace::render::Job;
@@ -75,7 +76,11 @@ fn from_environment<T: std::str::FromStr>(name: &str) -> Option<T> {
 }
 
 fn budget(triangles: usize) -> Duration {
-    let default = if triangles > 300_000 { 30.0 } else { 10.0 };
+    let default = match triangles {
+        ..300_000 => 15.0,
+        300_000..2_000_000 => 30.0,
+        _ => 90.0,
+    };
     Duration::from_secs_f64(from_environment("BUDGET").unwrap_or(default))
 }
 
@@ -151,6 +156,12 @@ impl Contest<'_> {
         };
         eprintln!("{:>6.0} s  {:<20}{row}", self.started.elapsed().as_secs_f64(), self.result.name);
         self.result.counted = tallies.total.queries;
+        let share = |purpose| {
+            let queries = tallies.by_purpose.get(&purpose).map_or(0, |tally| tally.queries);
+            queries as f64 / tallies.total.queries as f64
+        };
+        (self.result.camera_share, self.result.shadow_share) =
+            (share(Purpose::Camera), share(Purpose::Shadow));
         self.result.rows.push(row);
         Ok(())
     }
@@ -167,9 +178,12 @@ impl Contest<'_> {
         ] {
             let builder =
                 builder::Config { splits, max_leaf: auto::MAX_LEAF, c_i: 1.0, ..Default::default() };
-            let patient =
-                reinsertion::Config { batches: 100, share: 1.0, least_gain: 1e-4, ..Default::default() };
-            let optimised = vec![Stage::Rotations(rotations::Config::default()), Stage::Reinsertion(patient)];
+            let optimised = vec![
+                Stage::Rotations(rotations::Config::default()),
+                Stage::Reinsertion(reinsertion::Config::PATIENT),
+                Stage::Treelets(treelets::Config::default()),
+                Stage::Reinsertion(reinsertion::Config::PATIENT),
+            ];
             for (suffix, stages) in [("", Vec::new()), (", optimised", optimised)] {
                 let recipe = Recipe { heuristic: Heuristic::Sah, builder, stages, budget: Some(self.budget) };
                 let tree = recipe.make(self.bvh.triangles, &[], &Progress::hidden())?.tree;
@@ -230,7 +244,9 @@ impl Contest<'_> {
         }
         let chosen = self.chosen(self.rays, shadow)?;
         self.plain(Kind::Shadow, "auto, shadow", &chosen.made.tree)?;
-        self.occlusion(Kind::ShadowOrder, "auto, shadow + order", &chosen.made.tree)
+        self.occlusion(Kind::ShadowOrder, "auto, shadow + order", &chosen.made.tree)?;
+        self.result.rows.extend(self.result.tree_a_purpose());
+        Ok(())
     }
 
     fn selection(filter: Filter) -> Selection {

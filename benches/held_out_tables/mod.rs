@@ -24,6 +24,8 @@ pub enum Kind {
     /// Trained on shadow queries.
     Shadow,
     ShadowOrder,
+    /// Several trees, each for the queries of its purpose.
+    TreeAPurpose,
 }
 
 /// Box and primitive tests of a tree per held-out query, by purpose too; NaN where there is none.
@@ -58,6 +60,9 @@ pub struct SceneResult {
     /// Queries that auto's tree is built from.
     pub training: usize,
     pub counted: u64,
+    /// Parts of the counted queries.
+    pub camera_share: f64,
+    pub shadow_share: f64,
     /// What auto chose, trained on all queries.
     pub chosen: String,
     pub rows: Vec<Row>,
@@ -82,6 +87,24 @@ impl SceneResult {
         value(kind) / value(Kind::Area)
     }
 
+    /// What queries cost when those from the camera and those of shadows go to trees of their own.
+    pub fn tree_a_purpose(&self) -> Option<Row> {
+        let row = |kind| self.rows.iter().find(|row| row.kind == kind);
+        let (all, camera, shadow) = (row(Kind::AutoOrder)?, row(Kind::Camera)?, row(Kind::ShadowOrder)?);
+        let other = all.all - self.camera_share * all.camera - self.shadow_share * all.shadow;
+        Some(Row {
+            kind: Kind::TreeAPurpose,
+            name: "a tree a purpose".into(),
+            all: other + self.camera_share * camera.camera + self.shadow_share * shadow.shadow,
+            camera: camera.camera,
+            diffuse: all.diffuse,
+            shadow: shadow.shadow,
+            shadow_visits: shadow.shadow_visits,
+            // Counted where each tree has its own row.
+            wrong: 0,
+        })
+    }
+
     fn wrong(&self, ours: bool) -> u64 {
         let is_ours = |row: &&Row| !matches!(row.kind, Kind::Embree | Kind::Crate);
         self.rows.iter().filter(|row| is_ours(row) == ours).map(|row| row.wrong).sum()
@@ -96,6 +119,7 @@ pub fn print(scenes: &[SceneResult]) {
         &[
             ("auto", Kind::Auto),
             ("auto + order", Kind::AutoOrder),
+            ("a tree a purpose", Kind::TreeAPurpose),
             ("other camera", Kind::OtherCamera),
             ("limit", Kind::Limit),
             ("Embree", Kind::Embree),

@@ -1,15 +1,18 @@
 //! How few rays are enough: trees from the queries of 16 × 16 to 256 × 256 pixels, counted on all queries. Each is built
-//! from plain counts, and from counts shrunk towards area, which matters where few rays are left at a node.
+//! from plain counts, from counts shrunk towards area, which matters where few rays are left at a node, and from a blend of both.
 
 use super::measure::{area_tree, ray_tree};
 use super::trace::{Trace, prepared, t_r};
 use super::{ExperimentError, Settings, summary};
 use crate::builder::{BuildError, Config};
+use crate::probability::blend::Blend;
 use crate::probability::rays::{Count, Measure, RaySet};
 use crate::probability::shrunk::Shrunk;
 use crate::progress::Progress;
 use crate::random::Random;
-use crate::report::plot::{BLACK, BLUE, Chart, Figure, GREEN, Mark, PURPLE, Series, Stroke, VERMILLION};
+use crate::report::plot::{
+    BLACK, BLUE, Chart, Figure, GREEN, Mark, ORANGE, PURPLE, Series, Stroke, VERMILLION,
+};
 use crate::tree::Tree;
 use std::collections::HashSet;
 use std::io::{self, Write};
@@ -17,11 +20,14 @@ use std::io::{self, Write};
 /// Edges of the sampled images, in pixels.
 pub const EDGES: [u64; 5] = [16, 32, 64, 128, 256];
 
-/// Plain counts, and counts shrunk towards area.
-pub const ESTIMATES: [&str; 2] = ["counts", "shrunk"];
+/// Plain counts, counts shrunk towards area, and a blend with area.
+pub const ESTIMATES: [&str; 3] = ["counts", "shrunk", "blend"];
 
 /// Rays that area is worth to the shrunk counts.
 const STRENGTH: f64 = 1.0;
+
+/// Weight of the rays in the blend.
+const WEIGHT: f64 = 0.5;
 
 /// One tree, counted on all queries.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,6 +58,7 @@ pub fn run(trace: &Trace, settings: &Settings) -> Result<Vec<Row>, ExperimentErr
     let from = |set: &RaySet, estimate: &str| -> Result<f64, ExperimentError> {
         let tree = match estimate {
             "shrunk" => built(trace, set, Shrunk::new(STRENGTH)?)?,
+            "blend" => built(trace, set, Blend::new(WEIGHT)?)?,
             _ => built(trace, set, Count::default())?,
         };
         Ok(count(&tree))
@@ -114,9 +121,11 @@ pub fn figure(rows: &[Row], scene: &str) -> Figure {
     let place = |edge: u64| EDGES.iter().position(|&e| e == edge).unwrap_or(0) as f64;
     let across = |y: f64| vec![(-0.3, y), (4.3, y)];
     let mut series = Vec::new();
-    for (estimate, label, color) in
-        [("counts", "from counts", VERMILLION), ("shrunk", "from counts shrunk towards area", PURPLE)]
-    {
+    for (estimate, label, color) in [
+        ("counts", "from counts", VERMILLION),
+        ("shrunk", "from counts shrunk towards area", PURPLE),
+        ("blend", "from half counts, half area", ORANGE),
+    ] {
         let of = rows.iter().filter(|row| row.estimate == estimate);
         let ours = summary(of.map(|row| (place(row.edge), row.relative)));
         let band = ours.iter().map(|p| (p.x, p.mean - p.error, p.mean + p.error)).collect();

@@ -42,6 +42,10 @@ impl Config {
     /// One batch over the likeliest twentieth: most of the gain for little of the time.
     pub const QUICK: Config =
         Config { batches: 1, share: 0.05, least_gain: 1e-3, search_work: 1 << 20, max_work: u64::MAX };
+
+    /// Batches over all nodes until hardly anything moves: another hundredth, for several times the time.
+    pub const PATIENT: Config =
+        Config { batches: 100, share: 1.0, least_gain: 1e-4, search_work: 1 << 20, max_work: u64::MAX };
 }
 
 /// Gains below this share of the parent's P are rounding, or not worth the work.

@@ -4,11 +4,15 @@
 //! are followed with the first and judged by what a depth-first traversal of the second really counts: box and primitive tests,
 //! occlusions that end early included. So a recipe that fits its own rays too well loses.
 //!
-//! 1. Trees from area alone, with spatial splits and with a full sweep, with the same optimisers and as they are built (optimisers raise what diffuse
-//!    rays cost on some objects): what rays have to beat. The cheapest is the answer when they do not, and the splits of the cheaper optimised one are used from here on.
-//! 2. Every way to use rays, quickly: few queries, rotations only.
-//! 3. The two best of them, and the best with another exponent, in full. The cheapest tree of 1 and 3 wins.
-//! 4. The winner once more, from all training queries.
+//! 1. A tree from area alone, with spatial splits, optimised: what rays have to beat, and the answer when they do not.
+//! 2. One way to use rays, quickly: few queries, rotations only. It comes early so that a scene for which there is no time for more has a tree from rays.
+//! 3. Area with a full sweep, and both as they are built (optimisers raise what diffuse rays cost on some objects). The splits of the cheaper optimised tree are used
+//!    from here on. Then the other ways to use rays, quickly.
+//! 4. The two best ways, and the best with another exponent, optimised in full. The cheapest tree so far wins.
+//! 5. The winner's recipe once more, with more patient optimisers and as many of the training queries, judges included, as there is time for.
+//!
+//! Steps 2 and 3 begin trials in the first third of the time, step 4 in the second. More queries than [`FULL`] make hardly better trees and take
+//! their time, so that is the last that more time is spent on.
 //!
 //! In a scene of a dozen triangles or fewer, the optimiser of every recipe is the exact one: the best of all trees takes no time.
 //!
@@ -44,10 +48,10 @@ pub struct Config {
 /// Most triangles of a scene for which all trees can be tried in no time.
 pub const EXHAUSTIVE: usize = 12;
 
-/// Ways to use rays that are tried.
+/// Ways to use rays that are tried; first the one that is best most often.
 const HEURISTICS: [Heuristic; 5] = [
-    Heuristic::Blend { weight: 0.5 },
     Heuristic::Blend { weight: 0.8 },
+    Heuristic::Blend { weight: 0.5 },
     Heuristic::Blend { weight: 0.95 },
     // Not 1: where no training ray passes, area has to decide, or the tree is arbitrary there and ruinous for any other ray.
     Heuristic::Blend { weight: 0.99 },
@@ -63,8 +67,16 @@ const ALPHA: f64 = 0.9;
 /// Queries that the quick trials are fitted to.
 const QUICK: usize = 1 << 14;
 
+/// Queries that the trials in full are fitted to.
+pub const FULL: usize = 1 << 16;
+
 /// Queries that judge.
 const JUDGES: usize = 1 << 15;
+
+/// Shares of the time before whose end a quick trial begins, one in full, and one with all that is left.
+const BROWSING: f64 = 1.0 / 3.0;
+const TRYING: f64 = 2.0 / 3.0;
+const WHOLE: f64 = 1.0;
 
 /// One recipe that was tried.
 #[derive(Clone, Debug, PartialEq)]
@@ -81,7 +93,7 @@ pub struct Trial {
 pub struct Chosen {
     pub recipe: Recipe,
     pub made: Made,
-    /// In the order in which they were made; the first four are area alone. Empty when there were no queries to judge by, or no time.
+    /// In the order in which they were made; the first is area alone. Empty when there were no queries to judge by, or no time.
     pub trials: Vec<Trial>,
     /// Which of the trials won.
     pub winner: Option<usize>,
@@ -122,116 +134,196 @@ pub fn choose_with(
     let (judges, fit): (Vec<&Query>, Vec<&Query>) = queries.iter().partition(|query| query.judges);
     let judges = even(&judges, JUDGES);
     let segments: Vec<Ray> = fit.iter().map(|query| query.segment).collect();
-    let mut chooser = Chooser { scene, judges, config, exact, started: Instant::now(), trials: Vec::new() };
-
     let mut splits = Splits::Spatial(spatial::Options::default());
-    let area = chooser.recipe(Heuristic::Sah, splits);
-    let mut made = vec![(chooser.follow(&area, &[])?, 0)];
-    if !chooser.judges.is_empty() && !segments.is_empty() && chooser.seconds_left() > 0.0 {
-        let spatial = chooser.judge(&area, 0, &made[0].0.tree);
-        let sweep = chooser.recipe(Heuristic::Sah, Splits::Sweep);
-        let as_built = |recipe: &Recipe| Recipe { stages: Vec::new(), ..recipe.clone() };
-        for recipe in [sweep.clone(), as_built(&sweep), as_built(&area)] {
-            if let Some((tree, cost)) = chooser.attempt(&recipe, &[])? {
-                made.push((tree, chooser.trials.len() - 1));
-                if recipe == sweep && cost < spatial {
-                    splits = Splits::Sweep;
-                }
-            }
-        }
-        let few = even(&segments, QUICK);
-        let mut quick = Vec::new();
-        for heuristic in HEURISTICS {
-            let stages = vec![Stage::Rotations(rotations::Config::default())];
-            let recipe = Recipe { stages, ..chooser.recipe(heuristic, splits) };
-            if let Some((_, cost)) = chooser.attempt(&recipe, &few)? {
-                quick.push((heuristic, cost));
-            }
-        }
-        quick.sort_by(|a, b| a.1.total_cmp(&b.1));
-        let mut full: Vec<Recipe> =
-            quick.iter().take(2).map(|&(heuristic, _)| chooser.recipe(heuristic, splits)).collect();
-        if let Some(best) = full.first().cloned() {
-            full.push(Recipe { builder: builder::Config { alpha: ALPHA, ..best.builder }, ..best });
-        }
-        for recipe in &full {
-            if let Some((tree, _)) = chooser.attempt(recipe, &segments)? {
-                made.push((tree, chooser.trials.len() - 1));
-            }
-        }
+    let recipes = Recipes { config, exact };
+    let area = recipes.full(Heuristic::Sah, splits);
+    let mut chooser = Chooser::new(scene, judges, config, &area)?;
+    if chooser.judges.is_empty() || segments.is_empty() || chooser.seconds_left() <= 0.0 {
+        return Ok(chooser.end(area, None, 0));
     }
-    let cost = |trial: usize| chooser.trials.get(trial).map_or(0.0, |trial| trial.cost);
-    let best = (0..made.len())
-        .fold(0, |best, next| if cost(made[next].1) < cost(made[best].1) { next } else { best });
-    let (mut best, winner) = made.swap_remove(best);
-    let recipe = chooser.trials.get(winner).map_or(area, |trial| trial.recipe.clone());
-    let mut built_from = if recipe.heuristic.needs_rays() { segments.len() } else { 0 };
-    if built_from > 0 && chooser.seconds_left() > 0.0 {
-        let all: Vec<Ray> = queries.iter().map(|query| query.segment).collect();
-        best = chooser.follow(&recipe, &all)?;
-        built_from = all.len();
+    let by_spatial = chooser.cost(&chooser.best.tree);
+    chooser.enter(&area, 0, by_spatial);
+    let few = even(&segments, QUICK);
+    let mut first = chooser.attempt(&recipes.quick(HEURISTICS[0], splits), &few, WHOLE)?;
+    let sweep = recipes.full(Heuristic::Sah, Splits::Sweep);
+    if chooser.attempt(&sweep, &[], BROWSING)?.is_some_and(|by_sweep| by_sweep < by_spatial) {
+        splits = Splits::Sweep;
+        first = None;
     }
-    Ok(Chosen {
-        recipe: Recipe { budget: Some(config.budget), ..recipe },
-        made: best,
-        winner: (!chooser.trials.is_empty()).then_some(winner),
-        queries: built_from,
-        judges: chooser.judges.len(),
-        trials: chooser.trials,
-    })
+    for recipe in [&sweep, &area] {
+        chooser.attempt(&Recipe { stages: Vec::new(), ..recipe.clone() }, &[], BROWSING)?;
+    }
+    let mut tried: Vec<(Heuristic, f64)> = first.map(|cost| (HEURISTICS[0], cost)).into_iter().collect();
+    for &heuristic in &HEURISTICS[tried.len()..] {
+        let cost = chooser.attempt(&recipes.quick(heuristic, splits), &few, BROWSING)?;
+        tried.extend(cost.map(|cost| (heuristic, cost)));
+    }
+    tried.sort_by(|a, b| a.1.total_cmp(&b.1));
+    // With no time for any of them, the first is tried in full.
+    if tried.is_empty() {
+        tried.push((HEURISTICS[0], f64::INFINITY));
+    }
+    let mut full: Vec<Recipe> =
+        tried.iter().take(2).map(|&(heuristic, _)| recipes.full(heuristic, splits)).collect();
+    full.push(Recipe { builder: builder::Config { alpha: ALPHA, ..full[0].builder }, ..full[0].clone() });
+    let many = even(&segments, FULL);
+    for recipe in &full {
+        chooser.attempt(recipe, &many, TRYING)?;
+    }
+    let all: Vec<Ray> = queries.iter().map(|query| query.segment).collect();
+    chooser.finish(&recipes, &all)
 }
 
-struct Chooser<'a> {
-    scene: Scene<'a>,
-    judges: Vec<&'a Query>,
+/// The recipes that are tried.
+#[derive(Clone, Copy)]
+struct Recipes<'a> {
     config: &'a Config,
     exact: bool,
-    started: Instant,
-    trials: Vec<Trial>,
 }
 
-impl Chooser<'_> {
-    fn seconds_left(&self) -> f64 {
-        self.config.budget.as_secs_f64() - self.started.elapsed().as_secs_f64()
-    }
-
-    /// The recipe in full.
-    fn recipe(&self, heuristic: Heuristic, splits: Splits) -> Recipe {
+impl Recipes<'_> {
+    fn with(&self, heuristic: Heuristic, splits: Splits, stages: Vec<Stage>) -> Recipe {
         let Config { c_i, c_p, max_leaf, .. } = *self.config;
         let builder = builder::Config { splits, max_leaf, c_i, c_p, ..Default::default() };
+        Recipe { heuristic, builder, stages, budget: None }
+    }
+
+    fn quick(&self, heuristic: Heuristic, splits: Splits) -> Recipe {
+        self.with(heuristic, splits, vec![Stage::Rotations(rotations::Config::default())])
+    }
+
+    fn full(&self, heuristic: Heuristic, splits: Splits) -> Recipe {
+        let exact = treelets::Config { leaves: treelets::MAX_LEAVES, ..Default::default() };
         let stages = if self.exact {
-            vec![Stage::Treelets(treelets::Config { leaves: treelets::MAX_LEAVES, ..Default::default() })]
+            vec![Stage::Treelets(exact)]
         } else {
             vec![
                 Stage::Rotations(rotations::Config::default()),
                 Stage::Reinsertion(reinsertion::Config::default()),
             ]
         };
-        Recipe { heuristic, builder, stages, budget: None }
+        self.with(heuristic, splits, stages)
+    }
+
+    /// A recipe with more patient optimisers, where it has any that are not exact.
+    fn patient(&self, recipe: &Recipe) -> Recipe {
+        let mut stages = recipe.stages.clone();
+        if !self.exact && !stages.is_empty() {
+            stages = vec![
+                Stage::Rotations(rotations::Config::default()),
+                Stage::Reinsertion(reinsertion::Config::default()),
+                Stage::Treelets(treelets::Config::default()),
+                Stage::Reinsertion(reinsertion::Config::PATIENT),
+            ];
+        }
+        Recipe { stages, ..recipe.clone() }
+    }
+}
+
+struct Chooser<'a> {
+    scene: Scene<'a>,
+    judges: Vec<&'a Query>,
+    config: &'a Config,
+    started: Instant,
+    trials: Vec<Trial>,
+    /// The tree of the cheapest trial, and which that is.
+    best: Made,
+    winner: usize,
+    /// What it took to make it, and the last tree.
+    best_seconds: f64,
+    seconds: f64,
+}
+
+impl<'a> Chooser<'a> {
+    /// Makes the first tree.
+    fn new(
+        scene: Scene<'a>,
+        judges: Vec<&'a Query>,
+        config: &'a Config,
+        first: &Recipe,
+    ) -> Result<Chooser<'a>, RecipeError> {
+        let best = Made { tree: Tree::default(), optimized: None };
+        let started = Instant::now();
+        let mut chooser = Chooser {
+            scene,
+            judges,
+            config,
+            started,
+            trials: Vec::new(),
+            best,
+            winner: 0,
+            best_seconds: 0.0,
+            seconds: 0.0,
+        };
+        chooser.best = chooser.follow(first, &[])?;
+        chooser.best_seconds = chooser.seconds;
+        Ok(chooser)
+    }
+
+    fn seconds_left(&self) -> f64 {
+        self.config.budget.as_secs_f64() - self.started.elapsed().as_secs_f64()
     }
 
     /// Makes the tree in the time that is left.
-    fn follow(&self, recipe: &Recipe, rays: &[Ray]) -> Result<Made, RecipeError> {
+    fn follow(&mut self, recipe: &Recipe, rays: &[Ray]) -> Result<Made, RecipeError> {
+        let begun = Instant::now();
         let budget = Some(Duration::from_secs_f64(self.seconds_left().max(0.0)));
-        Recipe { budget, ..recipe.clone() }.make(self.scene.triangles, rays, &Progress::hidden())
+        let made =
+            Recipe { budget, ..recipe.clone() }.make(self.scene.triangles, rays, &Progress::hidden())?;
+        self.seconds = begun.elapsed().as_secs_f64();
+        Ok(made)
     }
 
-    /// Makes the tree and judges it, if there is time.
-    fn attempt(&mut self, recipe: &Recipe, rays: &[Ray]) -> Result<Option<(Made, f64)>, RecipeError> {
-        if self.seconds_left() <= 0.0 {
+    /// Makes the tree and judges it, if no more than a share of the time is over. It is kept if none was cheaper.
+    fn attempt(&mut self, recipe: &Recipe, rays: &[Ray], share: f64) -> Result<Option<f64>, RecipeError> {
+        if self.seconds_left() <= (1.0 - share) * self.config.budget.as_secs_f64() {
             return Ok(None);
         }
         let made = self.follow(recipe, rays)?;
-        let cost = self.judge(recipe, rays.len(), &made.tree);
-        Ok(Some((made, cost)))
+        let cost = self.cost(&made.tree);
+        if cost < self.trials[self.winner].cost {
+            (self.best, self.winner, self.best_seconds) = (made, self.trials.len(), self.seconds);
+        }
+        self.enter(recipe, rays.len(), cost);
+        Ok(Some(cost))
     }
 
-    fn judge(&mut self, recipe: &Recipe, queries: usize, tree: &Tree) -> f64 {
+    /// What a judging query costs.
+    fn cost(&self, tree: &Tree) -> f64 {
         let counts = count(self.scene, tree, &self.judges);
         let sum = self.config.c_i * counts.box_tests as f64 + self.config.c_p * counts.primitive_tests as f64;
-        let cost = sum / self.judges.len() as f64;
+        sum / self.judges.len() as f64
+    }
+
+    fn enter(&mut self, recipe: &Recipe, queries: usize, cost: f64) {
         self.trials.push(Trial { recipe: recipe.clone(), queries, cost });
-        cost
+    }
+
+    /// The winner's recipe once more, from as many of `rays` as there is time for; the tree of the trial where there is too little.
+    fn finish(mut self, recipes: &Recipes, rays: &[Ray]) -> Result<Chosen, RecipeError> {
+        let Trial { mut recipe, mut queries, .. } = self.trials[self.winner].clone();
+        // Optimisers stop in time, and queries take it in proportion; but builders have to come to their end.
+        let room = self.seconds_left() / (1.5 * self.best_seconds);
+        if room >= 1.0 && !recipe.stages.is_empty() {
+            if recipe.heuristic.needs_rays() {
+                queries = rays.len().min((queries as f64 * room) as usize);
+            }
+            recipe = recipes.patient(&recipe);
+            self.best = self.follow(&recipe, &even(rays, queries))?;
+        }
+        let winner = Some(self.winner);
+        Ok(self.end(recipe, winner, queries))
+    }
+
+    fn end(self, recipe: Recipe, winner: Option<usize>, queries: usize) -> Chosen {
+        Chosen {
+            recipe: Recipe { budget: Some(self.config.budget), ..recipe },
+            made: self.best,
+            winner,
+            queries,
+            judges: self.judges.len(),
+            trials: self.trials,
+        }
     }
 }
 

@@ -145,6 +145,8 @@ pub enum Optimizer {
     Reinsertion,
     /// One batch of that over the likeliest twentieth: most of the gain for little of the time
     QuickReinsertion,
+    /// Batches of it over all nodes until hardly anything moves: another hundredth, for several times the time
+    PatientReinsertion,
     /// The best tree over the seven largest subtrees below each node (Karras and Aila 2013)
     Treelets,
 }
@@ -202,6 +204,7 @@ impl Arguments {
                 Stage::Insertion(insertion::Config { rounds: or(default.rounds), seed, ..default })
             }
             Optimizer::QuickReinsertion => Stage::Reinsertion(reinsertion::Config::QUICK),
+            Optimizer::PatientReinsertion => Stage::Reinsertion(reinsertion::Config::PATIENT),
             Optimizer::Treelets => Stage::Treelets(treelets::Config::default()),
             Optimizer::Reinsertion => {
                 let default = reinsertion::Config::default();
