@@ -2,7 +2,8 @@
 //!
 //! Least squares over groups of queries, each of which has counts and a measured time: time = queries · a + node visits · b +
 //! box tests · c_I + primitive tests · c_P. In a binary tree every visit is two box tests, so that b and c_I cannot be told apart; then b
-//! takes both.
+//! takes both. Nothing costs less than nothing: where two counts nearly rise and fall together, as visits and box tests of a wide tree do, plain least squares would
+//! say so of one of them, to the benefit of the other. There are few columns, so the best fit without such costs is found by trying every choice of them.
 
 /// One group of queries under one tree: its size, counts and time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -21,7 +22,7 @@ pub struct Estimate {
     pub error: f64,
 }
 
-/// What was fitted. A cost is `None` when the observations cannot tell it from the ones before it.
+/// What was fitted. A cost is `None` when the observations cannot tell it from the ones before it, or fit best without it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fit {
     pub query: Option<Estimate>,
@@ -52,14 +53,25 @@ impl Fit {
             .collect();
         let scale: [f64; COLUMNS] =
             std::array::from_fn(|column| rows.iter().map(|(x, _)| x[column] * x[column]).sum::<f64>().sqrt());
-        let kept = independent(&rows, &scale);
-        let freedom = rows.len().checked_sub(kept.len()).filter(|freedom| *freedom > 0)? as f64;
-        let (solution, inverse) = solve(&rows, &scale, &kept)?;
-
-        let estimate_of = |x: &[f64; COLUMNS]| -> f64 {
-            kept.iter().zip(&solution).map(|(&column, value)| x[column] * value).sum()
-        };
-        let residual: f64 = rows.iter().map(|(x, y)| (y - estimate_of(x)).powi(2)).sum();
+        let told_apart = independent(&rows, &scale);
+        let freedom = |columns: usize| rows.len().checked_sub(columns).filter(|freedom| *freedom > 0);
+        freedom(told_apart.len())?;
+        let choices = (1..1 << told_apart.len()).filter_map(|choice: u32| {
+            let numbered = told_apart.iter().enumerate();
+            let kept: Vec<usize> =
+                numbered.filter(|(place, _)| choice >> place & 1 == 1).map(|(_, &column)| column).collect();
+            let (solution, inverse) = solve(&rows, &scale, &kept)?;
+            if solution.iter().any(|&value| value < 0.0) {
+                return None;
+            }
+            let estimate_of = |x: &[f64; COLUMNS]| -> f64 {
+                kept.iter().zip(&solution).map(|(&column, value)| x[column] * value).sum()
+            };
+            let residual: f64 = rows.iter().map(|(x, y)| (y - estimate_of(x)).powi(2)).sum();
+            Some((residual, kept, solution, inverse))
+        });
+        let (residual, kept, solution, inverse) = choices.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        let freedom = freedom(kept.len())? as f64;
         let queries: f64 = usable.iter().map(|o| o.queries as f64).sum();
         let mean = usable.iter().map(|o| o.seconds).sum::<f64>() / queries;
         let total: f64 =
@@ -231,6 +243,42 @@ mod tests {
         let error = fit.node_visit.map_or(0.0, |visit| visit.error);
         assert!(error > 0.01 && near(fit.node_visit, 8.0, 4.0 * error), "{fit:?}");
         assert!((0.9..0.999).contains(&fit.r_squared), "{fit:?}");
+    }
+
+    #[test]
+    fn nothing_costs_less_than_nothing() {
+        // Box tests nearly follow visits, and the time follows both and a wobble.
+        let observations: Vec<Observation> = (1..100u64)
+            .map(|n| {
+                let node_visits = 1000 + n * 37 % 500;
+                let box_tests = 8 * node_visits + n % 3;
+                let seconds = 3.0 * node_visits as f64 - 20.0 * (n % 3) as f64 + (n * 7 % 5) as f64;
+                Observation { queries: 100, node_visits, box_tests, primitive_tests: n % 11, seconds }
+            })
+            .collect();
+        let fit = Fit::of(&observations).expect("a fit");
+        let costs = [fit.query, fit.node_visit, fit.box_test, fit.primitive_test];
+        assert!(costs.iter().flatten().all(|cost| cost.value >= 0.0), "{fit:?}");
+        assert!(fit.r_squared > 0.99, "{fit:?}");
+        // No mixture of costs that are not negative is nearer: each of a fine grid is tried.
+        let residual = |[a, b, c, d]: [f64; 4]| -> f64 {
+            let of = |o: &Observation| {
+                let estimate = a * o.queries as f64
+                    + b * o.node_visits as f64
+                    + c * o.box_tests as f64
+                    + d * o.primitive_tests as f64;
+                (o.seconds - estimate).powi(2)
+            };
+            observations.iter().map(of).sum()
+        };
+        let found = costs.map(|cost| cost.map_or(0.0, |cost| cost.value));
+        for mask in 0..81 {
+            let nudged: [f64; 4] = std::array::from_fn(|column| {
+                let step = [-0.01, 0.0, 0.01][mask / 3usize.pow(column as u32) % 3];
+                (found[column] + step).max(0.0)
+            });
+            assert!(residual(nudged) >= residual(found) * (1.0 - 1e-9), "{nudged:?} beats {found:?}");
+        }
     }
 
     #[test]
