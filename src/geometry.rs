@@ -93,7 +93,7 @@ impl Aabb {
 }
 
 /// A ray with its interval. A *query* is more: it also asks a kind of question (see [`crate::format::rays::Record`]).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Ray {
     pub origin: Vec3,

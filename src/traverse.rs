@@ -5,7 +5,20 @@
 //! query. The algorithms (`odf`, `ray_order`) are generic over the form, over who watches ([`Observer`]) and over which
 //! triangles count ([`Candidates`]), and are compiled for each combination.
 //!
+//! Queries of one kind may also be asked together ([`packet`]).
+//!
 //! Every form and every order gives the same answer: see [`triangle`] for how rounding is kept out of it.
+
+/// Runs `$run` with `$nodes` as the form of `$prepared`: the one place where layouts are told apart.
+macro_rules! with_form {
+    ($prepared:expr, $nodes:ident => $run:expr) => {
+        match &$prepared.nodes {
+            $crate::traverse::Nodes::Pairs($nodes) => $run,
+            $crate::traverse::Nodes::Fours($nodes) => $run,
+            $crate::traverse::Nodes::Eights($nodes) => $run,
+        }
+    };
+}
 
 pub mod blocks;
 pub mod candidates;
@@ -19,6 +32,7 @@ mod memory;
 pub mod observer;
 mod odf;
 pub mod overlap;
+pub mod packet;
 pub mod pairs;
 pub mod ray;
 mod ray_order;
@@ -32,6 +46,7 @@ pub use form::Link;
 pub use masks::Masks;
 pub use observer::{Counts, Observer, Path, Step};
 pub use overlap::{Overlap, Overlapped};
+pub use packet::{Decisions, PacketCounts, PacketObserver, PacketScratch};
 pub use ray::PreparedRay;
 pub use triangle::PreparedTriangle;
 
@@ -116,17 +131,6 @@ pub struct Prepared {
         expect(dead_code, reason = "x86-64 has processors with and without")
     )]
     fused: bool,
-}
-
-/// Runs `$run` with `$nodes` as the form of `$prepared`: the one place where layouts are told apart.
-macro_rules! with_form {
-    ($prepared:expr, $nodes:ident => $run:expr) => {
-        match &$prepared.nodes {
-            Nodes::Pairs($nodes) => $run,
-            Nodes::Fours($nodes) => $run,
-            Nodes::Eights($nodes) => $run,
-        }
-    };
 }
 
 impl Prepared {

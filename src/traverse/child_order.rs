@@ -8,6 +8,7 @@
 use super::form::{Form, Link, Stack};
 use super::ray::PreparedRay;
 use super::simd::Machine;
+use crate::geometry::Ray;
 use crate::random::mixed;
 use crate::tree::TreeView;
 use thiserror::Error;
@@ -160,6 +161,40 @@ impl ChildOrder for Drawn {
     fn precedes(&self, _parent: &Link, a: &Link, b: &Link) -> bool {
         let draw = |link: &Link| (mixed(self.0 ^ u64::from(link.node)), link.node);
         draw(a) < draw(b)
+    }
+}
+
+/// Any order, asked once for many rays, so that it need not be known when the traversal is compiled.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ByRule<'a> {
+    order: &'a OcclusionOrder,
+    /// For the random order.
+    drawn: Drawn,
+}
+
+impl ByRule<'_> {
+    /// A random order is drawn from the first ray.
+    pub fn new<'a>(order: &'a OcclusionOrder, rays: &[Ray]) -> ByRule<'a> {
+        let drawn = match (order, rays.first()) {
+            (OcclusionOrder::Random(seed), Some(first)) => Drawn::new(*seed, &PreparedRay::new(first)),
+            _ => Drawn(0),
+        };
+        ByRule { order, drawn }
+    }
+}
+
+impl ChildOrder for ByRule<'_> {
+    #[inline(always)]
+    fn precedes(&self, parent: &Link, a: &Link, b: &Link) -> bool {
+        match self.order {
+            OcclusionOrder::Nearest => nearer(a, b),
+            OcclusionOrder::Recorded(orders) => PerNode(orders).precedes(parent, a, b),
+            OcclusionOrder::Farthest => by_rule(rule::FARTHEST, a, b),
+            OcclusionOrder::Area(areas) => LargerFirst(areas).precedes(parent, a, b),
+            OcclusionOrder::First => by_rule(rule::FIRST, a, b),
+            OcclusionOrder::Last => by_rule(rule::LAST, a, b),
+            OcclusionOrder::Random(_) => self.drawn.precedes(parent, a, b),
+        }
     }
 }
 

@@ -151,3 +151,26 @@ pub trait Form<M: Machine> {
         stack: &mut Stack,
     ) -> Option<Link>;
 }
+
+/// The children of an inner node one by one, as packets ask for them.
+pub trait Children {
+    /// A child, whose entry is not known, and its box. `near_face`: by axis, 1 when the upper face is the near one.
+    fn child(&self, parent: &Link, number: usize, near_face: &[usize; 3]) -> (Link, Faces);
+}
+
+/// The faces of a box as rays that run the same way along each axis meet them, by axis.
+#[derive(Clone, Copy, Debug)]
+pub struct Faces {
+    pub near: [f32; 3],
+    pub far: [f32; 3],
+}
+
+impl Faces {
+    #[inline(always)]
+    pub(super) fn new(faces: impl Fn(usize, usize) -> f32, near_face: &[usize; 3]) -> Faces {
+        Faces {
+            near: std::array::from_fn(|axis| faces(axis, near_face[axis] & 1)),
+            far: std::array::from_fn(|axis| faces(axis, near_face[axis] & 1 ^ 1)),
+        }
+    }
+}

@@ -1,7 +1,7 @@
 //! The form of all other trees: children in groups of four or eight, faces side by side, one vector operation for all boxes of a
 //! group. A node with more children than a group holds has several.
 
-use super::form::{Below, Form, Link, Stack};
+use super::form::{Below, Children, Faces, Form, Link, Stack};
 use super::memory;
 use super::ray::PreparedRay;
 use super::simd::{Lanes, Supports};
@@ -211,5 +211,15 @@ impl<M: Supports<N>, const N: usize> Form<M> for Groups<N> {
             }
         }
         if stack.len() > before { stack.pop() } else { None }
+    }
+}
+
+impl<const N: usize> Children for Groups<N> {
+    #[inline(always)]
+    fn child(&self, parent: &Link, number: usize, near_face: &[usize; 3]) -> (Link, Faces) {
+        let (index, lane) = (parent.first as usize + number / N, number % N);
+        let group = &self.groups[index];
+        let link = Link::to(self.child[index] + lane as u32, group.below[lane], f32::INFINITY);
+        (link, Faces::new(|axis, side| group.faces[axis][side][lane], near_face))
     }
 }

@@ -7,6 +7,7 @@ use super::form::Link;
 use super::observer::Observer;
 use super::ray::PreparedRay;
 use super::simd::Machine;
+use super::triangle::PreparedTriangle;
 use crate::format::rays::NO_TRIANGLE;
 
 /// The best hit so far, or the end of the ray.
@@ -16,7 +17,7 @@ pub(super) struct Best {
     pub triangle: u32,
     /// No triangle hit behind this, by its plane's distance, is a better one: the number after `t`, as one at the same t may be, and at
     /// most the ray's end.
-    bound: f32,
+    pub bound: f32,
 }
 
 impl Best {
@@ -61,7 +62,7 @@ pub(super) fn test<const ANY: bool, M: Machine>(
             let lane = mask.trailing_zeros() as usize % LANES;
             mask &= mask - 1;
             let slot = block * LANES + lane;
-            if hit(blocks, slot, distances[lane], leaf.entry, candidates, best) && ANY {
+            if hit(&blocks.triangle(slot), distances[lane], leaf.entry, candidates, best) && ANY {
                 observer.primitives(blocks.triangles(first..slot + 1));
                 return true;
             }
@@ -74,9 +75,8 @@ pub(super) fn test<const ANY: bool, M: Machine>(
 
 /// Whether the hit at `t` counts and is the best so far, which it then becomes.
 #[inline(always)]
-fn hit(
-    blocks: &Blocks,
-    slot: usize,
+pub(super) fn hit(
+    triangle: &PreparedTriangle,
     mut t: f32,
     entry: f32,
     candidates: &impl Candidates,
@@ -88,9 +88,8 @@ fn hit(
     if t > best.t {
         return false;
     }
-    let triangle = blocks.triangle(slot);
     let better = t < best.t || triangle.index < best.triangle;
-    if better && candidates.accepts(&triangle) {
+    if better && candidates.accepts(triangle) {
         *best = Best { t, triangle: triangle.index, bound: t.next_up().min(best.bound) };
         return true;
     }

@@ -1,6 +1,6 @@
 //! The form of binary trees: both children's boxes in one cache line, tested together in one vector register.
 
-use super::form::{Below, Form, Link, Stack};
+use super::form::{Below, Children, Faces, Form, Link, Stack};
 use super::memory;
 use super::ray::PreparedRay;
 use super::simd::{F32x4, Machine};
@@ -178,6 +178,16 @@ impl<M: Machine> Form<M> for Pairs {
         stack: &mut Stack,
     ) -> Option<Link> {
         self.entered(parent, ray, tfar, |_, _| false, found, stack)
+    }
+}
+
+impl Children for Pairs {
+    #[inline(always)]
+    fn child(&self, parent: &Link, number: usize, near_face: &[usize; 3]) -> (Link, Faces) {
+        let pair = &self.pairs[parent.first as usize];
+        let face =
+            |axis: usize, side: usize| f32::from_bits((pair.faces[axis][side] >> (32 * number)) as u32);
+        (Self::link(pair, parent.first, number, f32::INFINITY), Faces::new(face, near_face))
     }
 }
 

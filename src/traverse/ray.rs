@@ -12,7 +12,7 @@ use crate::geometry::{Aabb, Ray, Vec3};
 pub(crate) const PADDING: f32 = 8.0 / (1 << 24) as f32;
 
 /// Direction components outside of this range (zero apart) have no inverse that is exact to one rounding.
-const INVERTIBLE: std::ops::RangeInclusive<f32> = 1e-30..=1e30;
+pub(crate) const INVERTIBLE: std::ops::RangeInclusive<f32> = 1e-30..=1e30;
 
 /// A query's ray with what box tests need of it.
 ///

@@ -4,9 +4,9 @@
 mod eight;
 mod four;
 
-pub use eight::Halves;
 #[cfg(target_arch = "x86_64")]
 pub use eight::Whole;
+pub use eight::{Eight, Halves, LaneMask};
 pub use four::F32x4;
 
 /// What box tests need of a vector of `N` floats.
@@ -68,7 +68,7 @@ impl Lanes<4> for F32x4 {
 
 /// A kind of processor that traversals are compiled for. Chosen at run time, once per tree.
 pub trait Machine: Copy {
-    type Eight: Lanes<8>;
+    type Eight: Eight;
 
     /// a · b + c, rounded once.
     fn mul_add(a: F32x4, b: F32x4, c: F32x4) -> F32x4;

@@ -293,4 +293,4 @@ mod imp {
     }
 }
 
-pub use imp::F32x4;
+pub use imp::{F32x4, Mask};
