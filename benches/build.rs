@@ -134,8 +134,8 @@ fn compare(name: &str, mesh: &Mesh, records: &[Record]) {
 }
 
 fn contenders<'a>(mesh: &'a Mesh, triangles: &'a [Triangle]) -> Vec<(&'static str, Run<'a>)> {
-    let sweep = Config { splits: Splits::Sweep, ..Config::default() };
-    let spatial = Config { splits: Splits::Spatial(Options::default()), ..Config::default() };
+    let sweep = Config::of(Splits::Sweep);
+    let spatial = Config::of(Splits::Spatial(Options::default()));
     let full = reinsertion::Config::default();
     let quick = reinsertion::Config::QUICK;
     let leaves = |config| Config { max_leaf: 8, ..config };

@@ -177,7 +177,7 @@ impl Contest<'_> {
             (held_out_tables::SWEEP, Splits::Sweep),
         ] {
             let builder =
-                builder::Config { splits, max_leaf: auto::MAX_LEAF, c_i: 1.0, ..Default::default() };
+                builder::Config { max_leaf: auto::MAX_LEAF, c_i: 1.0, ..builder::Config::of(splits) };
             let optimised = vec![
                 Stage::Rotations(rotations::Config::default()),
                 Stage::Reinsertion(reinsertion::Config::PATIENT),

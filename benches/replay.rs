@@ -93,7 +93,7 @@ impl Trees {
     fn new(triangles: &[Triangle]) -> Trees {
         let recipe = Recipe {
             heuristic: Heuristic::Sah,
-            builder: Config { splits: Splits::Spatial(spatial::Options::default()), ..Config::default() },
+            builder: Config::of(Splits::Spatial(spatial::Options::default())),
             stages: vec![Stage::Reinsertion(reinsertion::Config::default())],
             budget: None,
         };

@@ -128,7 +128,22 @@ pub enum BuildError {
     Cost(&'static str, f64),
 }
 
+impl Splits {
+    /// The count that suits the candidates. What a split of space adds is leaves, which n - 1 does not charge for.
+    pub fn count(self) -> Count {
+        match self {
+            Splits::Binned { .. } | Splits::Sweep => Count::MinusOne,
+            Splits::Spatial(_) => Count::All,
+        }
+    }
+}
+
 impl Config {
+    /// The default for these candidates.
+    pub fn of(splits: Splits) -> Config {
+        Config { splits, count: splits.count(), ..Config::default() }
+    }
+
     /// Checks every field.
     ///
     /// # Errors

@@ -125,8 +125,10 @@ impl Recipe {
         let bounds = references.bounds;
         // A budget that ends beyond all time is none.
         let deadline = self.budget.and_then(|budget| started.checked_add(budget));
-        // Optimisers gain most on leaves of one; larger ones are made afterwards.
-        let max_leaf = if self.stages.is_empty() { self.builder.max_leaf } else { 1 };
+        // Area says as much about small boxes as about large ones, so optimisers can have the leaves as the builder makes them: there
+        // is half as much to move. Near the leaves rays are few: they are not to decide what is a leaf before they must.
+        let optimises_single = self.heuristic.needs_rays() && !self.stages.is_empty();
+        let max_leaf = if optimises_single { 1 } else { self.builder.max_leaf };
         let config = builder::Config { max_leaf, ..self.builder };
         let mut made = Made { tree: Tree::default(), optimized: None };
         let estimate = match self.heuristic {
@@ -157,7 +159,7 @@ impl Recipe {
         Ok(made)
     }
 
-    /// Runs the stages on a tree with one reference a leaf, then makes leaves of as many as are allowed.
+    /// Runs the stages, then makes leaves of as many as are allowed.
     fn optimize<M: Measure>(
         &self,
         made: &mut Made,

@@ -184,7 +184,7 @@ struct Recipes<'a> {
 impl Recipes<'_> {
     fn with(&self, heuristic: Heuristic, splits: Splits, stages: Vec<Stage>) -> Recipe {
         let Config { c_i, c_p, max_leaf, .. } = *self.config;
-        let builder = builder::Config { splits, max_leaf, c_i, c_p, ..Default::default() };
+        let builder = builder::Config { max_leaf, c_i, c_p, ..builder::Config::of(splits) };
         Recipe { heuristic, builder, stages, budget: None }
     }
 

@@ -52,9 +52,9 @@ pub struct Arguments {
     /// Exponent of the count in a side's cost, count^ALPHA · P
     #[arg(long, default_value_t = 1.0, value_name = "ALPHA", allow_negative_numbers = true)]
     pub alpha: f64,
-    /// The count in a side's cost: n-1 or n
-    #[arg(long, default_value = "n-1", value_name = "COUNT")]
-    pub count: Count,
+    /// The count in a side's cost: n-1 or n; without this, n with --splits spatial, which adds leaves, and n-1 else
+    #[arg(long, value_name = "COUNT")]
+    pub count: Option<Count>,
     /// Most triangles in a leaf; above 1, subtrees become leaves where that does not raise the SAH cost
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub max_leaf: usize,
@@ -180,7 +180,7 @@ impl Arguments {
         let builder = Config {
             splits,
             alpha: self.alpha,
-            count: self.count,
+            count: self.count.unwrap_or(splits.count()),
             // Collapsing merges leaves itself, and better where it has the choice.
             max_leaf: if self.width.is_some() { 1 } else { self.max_leaf },
             c_i: self.ci,
