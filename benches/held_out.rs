@@ -11,7 +11,8 @@
 //!
 //! Prints Markdown tables; progress goes to standard error. Environment: SIZE=WIDTHxHEIGHT of the picture; BUDGET, seconds for each auto, control and
 //! limit (by default 15, 30 above 300,000 and 90 above 2,000,000 triangles); SAMPLE, queries of the recording of which the held-out ones are counted;
-//! FIGURE, a folder for held-out.svg and .png.
+//! FIGURE, a folder for held-out.svg and .png; KEEP, a folder
+//! for what was measured of each scene, so that a run that was broken off goes on where it was: scenes that are there are not measured again.
 
 mod held_out_tables;
 mod peers;
@@ -58,7 +59,7 @@ fn main() {
     }
     let mut results = Vec::new();
     for path in &paths {
-        match measure(Path::new(path)) {
+        match kept_or_measured(Path::new(path)) {
             Ok(result) => results.push(result),
             Err(error) => eprintln!("{path}: {error}"),
         }
@@ -84,6 +85,24 @@ fn budget(triangles: usize) -> Duration {
     Duration::from_secs_f64(from_environment("BUDGET").unwrap_or(default))
 }
 
+/// What KEEP has of a scene, or a measurement.
+fn kept_or_measured(path: &Path) -> Result<SceneResult, Box<dyn Error>> {
+    let Some(folder) = std::env::var_os("KEEP") else { return measure(path) };
+    let kept = Path::new(&folder).join(format!("{}.json", scene_name(path)));
+    if kept.exists() {
+        return Ok(serde_json::from_slice(&std::fs::read(kept)?)?);
+    }
+    let result = measure(path)?;
+    std::fs::create_dir_all(folder)?;
+    std::fs::write(kept, serde_json::to_vec(&result)?)?;
+    Ok(result)
+}
+
+fn scene_name(path: &Path) -> String {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    name.split('.').next().unwrap_or_default().to_owned()
+}
+
 /// Everything that is counted of one scene.
 fn measure(path: &Path) -> Result<SceneResult, Box<dyn Error>> {
     let (mesh, _) = mesh::read(path)?;
@@ -91,8 +110,7 @@ fn measure(path: &Path) -> Result<SceneResult, Box<dyn Error>> {
     let size = [size.0, size.1];
     let recording = Recording::new(&mesh, size, &Wishes::default())?;
     let (bvh, rays) = (recording.bvh(), recording.rays());
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let name = name.split('.').next().unwrap_or_default().to_owned();
+    let name = scene_name(path);
     let mut scene = Contest {
         bvh: &bvh,
         rays: &rays,

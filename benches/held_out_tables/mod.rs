@@ -2,10 +2,11 @@
 
 pub mod chart;
 
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// What a tree is in the comparison.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Kind {
     /// From area alone.
     Area,
@@ -29,14 +30,19 @@ pub enum Kind {
 }
 
 /// Box and primitive tests of a tree per held-out query, by purpose too; NaN where there is none.
+#[derive(Serialize, Deserialize)]
 pub struct Row {
     pub kind: Kind,
     pub name: String,
     pub all: f64,
+    #[serde(deserialize_with = "number_or_none")]
     pub camera: f64,
+    #[serde(deserialize_with = "number_or_none")]
     pub diffuse: f64,
+    #[serde(deserialize_with = "number_or_none")]
     pub shadow: f64,
     /// Node visits of a shadow query.
+    #[serde(deserialize_with = "number_or_none")]
     pub shadow_visits: f64,
     /// Answers that are neither the recorded one nor as good.
     pub wrong: u64,
@@ -53,7 +59,12 @@ impl fmt::Display for Row {
     }
 }
 
-#[derive(Default)]
+/// JSON has no NaN: it is written as null.
+fn number_or_none<'de, D: serde::Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(from)?.unwrap_or(f64::NAN))
+}
+
+#[derive(Default, Serialize, Deserialize)]
 pub struct SceneResult {
     pub name: String,
     pub triangles: usize,
