@@ -23,7 +23,7 @@ use embree_trace::progress::Progress;
 use embree_trace::random::Random;
 use embree_trace::recipe::{Heuristic, Recipe};
 use embree_trace::traverse::{All, Counts, OcclusionOrder, Prepared, PreparedRay, Scratch, Traversal};
-use embree_trace::tree::{Tree, collapse};
+use embree_trace::tree::{Tree, collapse, likely};
 use obvhs::BvhBuildParams;
 use peers::Peer;
 use peers::obvhs_crate::Obvhs;
@@ -101,7 +101,8 @@ impl Trees {
         let area = |node: usize| f64::from(tree.nodes[node].bounds().area());
         let [binary, four, eight] = [2, 4, 8].map(|width| {
             let config = collapse::Config::vector(width);
-            collapse::collapse(tree.view(), area, &config).expect("a binary tree")
+            let wide = collapse::collapse(tree.view(), area, &config).expect("a binary tree");
+            likely::likeliest_first(&wide, triangles)
         });
         Trees { binary, four, eight }
     }
@@ -160,14 +161,9 @@ fn compare(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
         ("ours ODF, 4 wide", Side::Other, runner(Ours::<()>::new(&four, odf))),
         ("ours ODF, 8 wide", Side::Eight, runner(Ours::<()>::new(&eight, odf))),
         (
-            "ours ODF, 8 wide, farthest",
+            "ours ODF, 8 wide, outside",
             Side::Eight,
-            runner(Ours::<()>::in_order(&eight, OcclusionOrder::Farthest)),
-        ),
-        (
-            "ours ODF, 8 wide, file order",
-            Side::Eight,
-            runner(Ours::<()>::in_order(&eight, OcclusionOrder::First)),
+            runner(Ours::<()>::in_order(&eight, OcclusionOrder::Outside)),
         ),
         ("ours RayOrder, 8 wide", Side::Other, runner(Ours::<()>::new(&eight, ray_order))),
     ];

@@ -54,6 +54,12 @@ impl Aabb {
         Aabb { lower: self.lower.min(other.lower), upper: self.upper.max(other.upper) }
     }
 
+    /// What is inside both: an empty box when that is nothing.
+    #[inline]
+    pub fn intersection(&self, other: &Aabb) -> Aabb {
+        Aabb { lower: self.lower.max(other.lower), upper: self.upper.min(other.upper) }
+    }
+
     /// The smallest box around `self` and a point.
     #[inline]
     pub fn grown(&self, point: Vec3) -> Aabb {

@@ -20,6 +20,7 @@ macro_rules! with_form {
     };
 }
 
+mod any_hit;
 pub mod blocks;
 pub mod candidates;
 pub mod child_order;
@@ -54,8 +55,8 @@ use crate::format::bvh::Geometry;
 use crate::geometry::{Aabb, Ray, Triangle};
 use crate::tree::TreeView;
 use blocks::Blocks;
-use child_order::{Always, ChildOrder, Drawn, LargerFirst, NearestFirst, PerNode, rule};
-use form::Room;
+use child_order::{Always, ChildOrder, Drawn, LargerFirst, NearestFirst, OutsideFirst, PerNode, rule};
+use form::{Below, Room};
 use groups::Groups;
 use pairs::Pairs;
 use simd::Machine;
@@ -103,6 +104,7 @@ pub struct Hit {
 pub struct Scratch {
     room: Room,
     queue: ray_order::Queue,
+    waiting: any_hit::Waiting,
 }
 
 #[derive(Debug)]
@@ -197,12 +199,12 @@ impl Prepared {
 
     /// [`Self::occluder`], depth first, with children in the order that `order` says.
     #[inline]
-    pub fn occluder_in(
+    pub fn occluder_in<O: Observer>(
         &self,
         order: &OcclusionOrder,
         ray: &PreparedRay,
         candidates: &impl Candidates,
-        observer: &mut impl Observer,
+        observer: &mut O,
         scratch: &mut Scratch,
     ) -> Option<Hit> {
         macro_rules! run {
@@ -215,10 +217,62 @@ impl Prepared {
             OcclusionOrder::Nearest => run!(NearestFirst),
             OcclusionOrder::Farthest => run!(Always::<{ rule::FARTHEST }>),
             OcclusionOrder::Area(areas) => run!(LargerFirst(areas)),
-            OcclusionOrder::First => run!(Always::<{ rule::FIRST }>),
+            OcclusionOrder::Outside if O::NODES => run!(OutsideFirst(ray.tnear)),
+            OcclusionOrder::Outside => self.any_hit::<true>(ray, candidates, observer, scratch),
+            OcclusionOrder::First if O::NODES => run!(Always::<{ rule::FIRST }>),
+            OcclusionOrder::First => self.any_hit::<false>(ray, candidates, observer, scratch),
             OcclusionOrder::Last => run!(Always::<{ rule::LAST }>),
             OcclusionOrder::Random(seed) => run!(Drawn::new(*seed, ray)),
         }
+    }
+
+    /// [`Self::occluder_in`] for an observer that does not look at numbers of nodes: in the order of the file, or `OUTSIDE` first.
+    #[inline]
+    fn any_hit<const OUTSIDE: bool>(
+        &self,
+        ray: &PreparedRay,
+        candidates: &impl Candidates,
+        observer: &mut impl Observer,
+        scratch: &mut Scratch,
+    ) -> Option<Hit> {
+        #[cfg(target_arch = "x86_64")]
+        if self.fused {
+            // SAFETY: the processor has these features, or `fused` would be false.
+            return unsafe { self.any_hit_fused::<OUTSIDE>(ray, candidates, observer, scratch) };
+        }
+        self.any_hit_on::<OUTSIDE, simd::Any>(ray, candidates, observer, scratch)
+    }
+
+    /// `any_hit_on`, compiled for processors with AVX2 and fused multiply-add.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn any_hit_fused<const OUTSIDE: bool>(
+        &self,
+        ray: &PreparedRay,
+        candidates: &impl Candidates,
+        observer: &mut impl Observer,
+        scratch: &mut Scratch,
+    ) -> Option<Hit> {
+        self.any_hit_on::<OUTSIDE, simd::Avx2>(ray, candidates, observer, scratch)
+    }
+
+    #[inline(always)]
+    fn any_hit_on<const OUTSIDE: bool, M: Machine>(
+        &self,
+        ray: &PreparedRay,
+        candidates: &impl Candidates,
+        observer: &mut impl Observer,
+        scratch: &mut Scratch,
+    ) -> Option<Hit> {
+        observer.root();
+        ray.entry(&self.root_bounds, ray.tfar)?;
+        let root = Below { first: self.root.first, count: self.root.count };
+        let stack = scratch.waiting.room(self.stack_size);
+        let blocks = &self.blocks;
+        let best = with_form!(self, form => {
+            any_hit::run::<OUTSIDE, M, _>(form, root, blocks, ray, candidates, observer, stack)
+        });
+        best.hit()
     }
 
     #[inline]

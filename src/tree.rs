@@ -6,6 +6,7 @@
 pub mod collapse;
 pub mod epo;
 pub mod leaves;
+pub mod likely;
 pub mod statistics;
 pub mod validate;
 

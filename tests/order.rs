@@ -71,6 +71,33 @@ fn no_order_changes_an_answer() {
 }
 
 #[test]
+fn the_quick_traversals_go_the_way_of_those_that_compare_children() {
+    let (random, scratch) = (&mut Random(27), &mut Scratch::default());
+    for (scene, triangles) in scenes() {
+        let mut rays = rays(&triangles, 150, random);
+        rays.extend(hostile_rays(random));
+        for (width, leaf) in [(2, 1), (4, 3), (8, 1), (30, 6)] {
+            let tree = random_tree(&triangles, width, leaf, random);
+            let prepared = Prepared::new(tree.view(), &triangles, &[]);
+            for order in [OcclusionOrder::First, OcclusionOrder::Outside] {
+                for ray in &rays {
+                    let query = PreparedRay::new(ray);
+                    let (mut path, mut counts) = (Path::default(), Counts::default());
+                    let slow = prepared.occluder_in(&order, &query, &All, &mut path, scratch);
+                    let quick = prepared.occluder_in(&order, &query, &All, &mut counts, scratch);
+                    let triangle = |hit: Option<Hit>| hit.map(|hit| hit.triangle);
+                    assert_eq!(triangle(quick), triangle(slow), "{scene} {width} {order:?} {ray:?}");
+                    let steps =
+                        |kind: fn(&Step) -> bool| path.steps.iter().filter(|&step| kind(step)).count() as u64;
+                    assert_eq!(counts.node_visits, steps(|step| matches!(step, Step::Inner(_))));
+                    assert_eq!(counts.primitive_tests, steps(|step| matches!(step, Step::Triangle(_))));
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn predicted_costs_are_those_of_the_traversal_and_never_above_nearest_first() {
     let random = &mut Random(22);
     let mut better = 0;

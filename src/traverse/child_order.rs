@@ -2,7 +2,9 @@
 //! occluder differs a lot.
 //!
 //! A [`ChildOrder`] compares two children; the depth-first traversal is compiled once for each, and closest-hit queries only
-//! ever with `NearestFirst`. An [`OcclusionOrder`] is what a user chooses and what is chosen for a tree: one rule for all
+//! ever with `NearestFirst`. Two orders need no comparison, and have a traversal of their own (`any_hit`), which is quicker: that of the file,
+//! and the same with those children first that the ray does not start in. A ray that starts in a box mostly leaves it: what it started from is convex,
+//! or looks outwards. One that enters from outside is mostly stopped. An [`OcclusionOrder`] is what a user chooses and what is chosen for a tree: one rule for all
 //! nodes, or a rule per node as the section `ORDR` of a `.bvh` has it.
 
 use super::form::{Form, Link, Stack};
@@ -130,6 +132,18 @@ impl ChildOrder for PerNode<'_> {
     }
 }
 
+/// Those that the ray enters after its start, at this distance, first; of either sort, the first of the file.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OutsideFirst(pub f32);
+
+impl ChildOrder for OutsideFirst {
+    #[inline(always)]
+    fn precedes(&self, _parent: &Link, a: &Link, b: &Link) -> bool {
+        let (a_outside, b_outside) = (a.entry > self.0, b.entry > self.0);
+        if a_outside == b_outside { a.node < b.node } else { a_outside }
+    }
+}
+
 /// The larger box first.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LargerFirst<'a>(pub &'a [f32]);
@@ -170,6 +184,8 @@ pub(super) struct ByRule<'a> {
     order: &'a OcclusionOrder,
     /// For the random order.
     drawn: Drawn,
+    /// Where the last of the rays starts, for the order that asks who starts in a box.
+    start: f32,
 }
 
 impl ByRule<'_> {
@@ -179,7 +195,8 @@ impl ByRule<'_> {
             (OcclusionOrder::Random(seed), Some(first)) => Drawn::new(*seed, &PreparedRay::new(first)),
             _ => Drawn(0),
         };
-        ByRule { order, drawn }
+        let start = rays.iter().fold(f32::NEG_INFINITY, |start, ray| ray.tnear.max(start));
+        ByRule { order, drawn, start }
     }
 }
 
@@ -191,6 +208,7 @@ impl ChildOrder for ByRule<'_> {
             OcclusionOrder::Recorded(orders) => PerNode(orders).precedes(parent, a, b),
             OcclusionOrder::Farthest => by_rule(rule::FARTHEST, a, b),
             OcclusionOrder::Area(areas) => LargerFirst(areas).precedes(parent, a, b),
+            OcclusionOrder::Outside => OutsideFirst(self.start).precedes(parent, a, b),
             OcclusionOrder::First => by_rule(rule::FIRST, a, b),
             OcclusionOrder::Last => by_rule(rule::LAST, a, b),
             OcclusionOrder::Random(_) => self.drawn.precedes(parent, a, b),
@@ -209,6 +227,8 @@ pub enum OrderName {
     Farthest,
     /// The child of larger surface area (SATO)
     Area,
+    /// Children that the ray enters from outside before those that it starts in, else in the order of the file
+    Outside,
     /// In the order of the file
     First,
     /// In the reverse order of the file
@@ -218,11 +238,12 @@ pub enum OrderName {
 }
 
 impl OrderName {
-    pub const ALL: [OrderName; 7] = [
+    pub const ALL: [OrderName; 8] = [
         OrderName::Recorded,
         OrderName::Nearest,
         OrderName::Farthest,
         OrderName::Area,
+        OrderName::Outside,
         OrderName::First,
         OrderName::Last,
         OrderName::Random,
@@ -235,6 +256,7 @@ impl OrderName {
             OrderName::Nearest => "nearest",
             OrderName::Farthest => "farthest",
             OrderName::Area => "area",
+            OrderName::Outside => "outside",
             OrderName::First => "first",
             OrderName::Last => "last",
             OrderName::Random => "random",
@@ -252,6 +274,8 @@ pub enum OcclusionOrder {
     /// Larger surface area first (SATO: Nah and Manocha, "SATO: Surface Area Traversal Order for Shadow Ray Tracing", 2014).
     /// The area of each node's box.
     Area(Vec<f32>),
+    /// Meant for trees whose children stand as [`crate::tree::likely`] sorts them.
+    Outside,
     First,
     Last,
     /// With this seed.
@@ -298,6 +322,7 @@ impl OcclusionOrder {
             OrderName::Area => {
                 OcclusionOrder::Area(tree.nodes.iter().map(|node| node.bounds().area()).collect())
             }
+            OrderName::Outside => OcclusionOrder::Outside,
             OrderName::First => OcclusionOrder::First,
             OrderName::Last => OcclusionOrder::Last,
             OrderName::Random => OcclusionOrder::Random(1),
@@ -311,6 +336,7 @@ impl OcclusionOrder {
             OcclusionOrder::Nearest => OrderName::Nearest,
             OcclusionOrder::Farthest => OrderName::Farthest,
             OcclusionOrder::Area(_) => OrderName::Area,
+            OcclusionOrder::Outside => OrderName::Outside,
             OcclusionOrder::First => OrderName::First,
             OcclusionOrder::Last => OrderName::Last,
             OcclusionOrder::Random(_) => OrderName::Random,

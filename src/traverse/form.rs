@@ -7,7 +7,7 @@ use crate::tree::LEAF_BIT;
 /// What is below a node: [`Link::first`] and [`Link::count`].
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(8))]
-pub(super) struct Below {
+pub struct Below {
     pub first: u32,
     pub count: u32,
 }
@@ -140,6 +140,17 @@ pub trait Form<M: Machine> {
         found: impl Fn(&Link),
         stack: &mut Stack,
     ) -> Option<Link>;
+
+    /// Pushes what is below each child of `parent` that the ray overlaps onto `stack`, which holds `top` entries: the first of the file on top;
+    /// with `OUTSIDE`, those that it enters after its start above the others. How many entries there are then.
+    fn push_all<const OUTSIDE: bool>(
+        &self,
+        parent: &Link,
+        ray: &Self::Ray,
+        tfar: f32,
+        stack: &mut [Below],
+        top: usize,
+    ) -> usize;
 
     /// As [`Self::nearest`], in the order of the file.
     fn first(

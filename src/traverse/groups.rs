@@ -92,6 +92,31 @@ impl<const N: usize> Group<N> {
         let lanes = (1u32 << children.min(N)) - 1;
         (entry.le_mask(exit) & lanes, entry)
     }
+
+    /// As [`Self::test`], the lanes that the ray starts in apart from those that it enters later; without `APART`, all of them the latter.
+    #[inline(always)]
+    fn sides<const APART: bool, V: Lanes<N>>(
+        &self,
+        children: usize,
+        ray: &GroupRay<V>,
+        tfar: f32,
+    ) -> (u32, u32) {
+        let (mask, entry) = self.test(children, ray, tfar);
+        let inside = if APART { mask & entry.le_mask(ray.tnear) } else { 0 };
+        (inside, mask & !inside)
+    }
+
+    /// Pushes what is below the lanes in `mask`, the lowest on top.
+    #[inline(always)]
+    fn push(&self, mut mask: u32, stack: &mut [Below], mut top: usize) -> usize {
+        while mask != 0 {
+            let lane = mask.ilog2() as usize % N;
+            mask &= !(1 << lane);
+            stack[top] = self.below[lane];
+            top += 1;
+        }
+        top
+    }
 }
 
 /// Takes the lowest of the lanes in `mask`.
@@ -184,6 +209,33 @@ impl<M: Supports<N>, const N: usize> Form<M> for Groups<N> {
             }
         }
         Some(nearest)
+    }
+
+    #[inline(always)]
+    fn push_all<const OUTSIDE: bool>(
+        &self,
+        parent: &Link,
+        ray: &GroupRay<M::Vector>,
+        tfar: f32,
+        stack: &mut [Below],
+        mut top: usize,
+    ) -> usize {
+        let (start, count) = (parent.first as usize, parent.count as usize);
+        if count <= N {
+            let group = &self.groups[start];
+            let (inside, outside) = group.sides::<OUTSIDE, _>(count, ray, tfar);
+            top = group.push(inside, stack, top);
+            return group.push(outside, stack, top);
+        }
+        // Few trees have such nodes: testing twice keeps the order without more room.
+        for second in [false, true] {
+            for index in (0..count.div_ceil(N)).rev() {
+                let group = &self.groups[start + index];
+                let (inside, outside) = group.sides::<OUTSIDE, _>(count - index * N, ray, tfar);
+                top = group.push(if second { outside } else { inside }, stack, top);
+            }
+        }
+        top
     }
 
     #[inline(always)]

@@ -5,6 +5,9 @@ use super::triangle::PreparedTriangle;
 
 /// Told of each step of a traversal, in order. `()` ignores all of it.
 pub trait Observer {
+    /// Whether it looks at [`Link::node`]: some traversals know no numbers of nodes.
+    const NODES: bool = true;
+
     /// The root's box is tested.
     #[inline(always)]
     fn root(&mut self) {}
@@ -31,6 +34,8 @@ pub trait Observer {
 }
 
 impl Observer for () {
+    const NODES: bool = false;
+
     #[inline(always)]
     fn primitives(&mut self, _triangles: impl ExactSizeIterator<Item = PreparedTriangle>) {}
 }
@@ -46,6 +51,8 @@ pub struct Counts {
 }
 
 impl Observer for Counts {
+    const NODES: bool = false;
+
     #[inline(always)]
     fn root(&mut self) {
         self.box_tests += 1;

@@ -169,6 +169,25 @@ impl<M: Machine> Form<M> for Pairs {
     }
 
     #[inline(always)]
+    fn push_all<const OUTSIDE: bool>(
+        &self,
+        parent: &Link,
+        ray: &PairRay,
+        tfar: f32,
+        stack: &mut [Below],
+        mut top: usize,
+    ) -> usize {
+        let pair = &self.pairs[parent.first as usize];
+        let (mask, left, right) = Self::test(pair, ray, tfar);
+        let first = usize::from(OUTSIDE && left <= ray.tnear && right > ray.tnear);
+        for side in [first ^ 1, first] {
+            stack[top] = pair.below[side];
+            top += (mask >> side & 1) as usize;
+        }
+        top
+    }
+
+    #[inline(always)]
     fn first(
         &self,
         parent: &Link,

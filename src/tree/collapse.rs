@@ -258,9 +258,7 @@ pub fn binary(tree: TreeView, triangles: &[Triangle]) -> Tree {
             }
             items = if node.is_leaf() {
                 let clipped = |primitive: u32| {
-                    let bounds = triangles[primitive as usize].bounds();
-                    let bounds =
-                        Aabb { lower: bounds.lower.max(node.lower), upper: bounds.upper.min(node.upper) };
+                    let bounds = triangles[primitive as usize].bounds().intersection(&node.bounds());
                     Item { bounds, below: Below::Primitive(primitive), primitives: 1 }
                 };
                 tree.primitives[node.range()].iter().map(|&primitive| clipped(primitive)).collect()
