@@ -201,9 +201,25 @@ impl Directory {
         let parent = rays.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let parent = fs::canonicalize(parent).map_err(error)?;
         let name = rays.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        remove_abandoned(&parent, &name);
         let path = parent.join(format!(".{name}.{}.scenes", std::process::id()));
         fs::create_dir(&path).map_err(error)?;
         Ok(Directory(path))
+    }
+}
+
+/// Removes what recorders of the same file left that were killed.
+fn remove_abandoned(parent: &Path, name: &str) {
+    for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
+        let file_name = entry.file_name();
+        let process = file_name
+            .to_str()
+            .and_then(|file| file.strip_prefix('.')?.strip_prefix(name)?.strip_prefix('.'))
+            .and_then(|rest| rest.strip_suffix(".scenes")?.parse::<u32>().ok());
+        if process.is_some_and(|process| !Path::new(&format!("/proc/{process}")).exists()) {
+            // What cannot be removed is in nobody's way.
+            let _ = fs::remove_dir_all(entry.path());
+        }
     }
 }
 
@@ -211,5 +227,29 @@ impl Drop for Directory {
     fn drop(&mut self) {
         // What cannot be removed is in nobody's way.
         let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_killed_recorder_left_is_removed_and_nothing_else() {
+        let parent = tempfile::tempdir().expect("a temporary directory");
+        let living = std::process::id();
+        // No process has the greatest number.
+        let [abandoned, other, alive] = [
+            format!(".a.rays.{}.scenes", u32::MAX),
+            format!(".b.rays.{}.scenes", u32::MAX),
+            format!(".a.rays.{living}.scenes"),
+        ]
+        .map(|name| parent.path().join(name));
+        for path in [&abandoned, &other, &alive] {
+            fs::create_dir(path).expect("made");
+            fs::write(path.join("0.scene"), "triangles").expect("written");
+        }
+        remove_abandoned(parent.path(), "a.rays");
+        assert_eq!([abandoned.exists(), other.exists(), alive.exists()], [false, true, true]);
     }
 }
