@@ -186,7 +186,10 @@ fn the_command_says_what_it_chose_and_stores_it() {
     let bytes = std::fs::read(files.directory.path().join("out.bvh")).expect("written");
     let bvh = Bvh::parse(&bytes).expect("valid");
     let meta: serde_json::Value = serde_json::from_str(bvh.meta.expect("META")).expect("JSON");
-    assert!(meta["auto"]["trials"].as_array().is_some_and(|trials| trials.len() == 13), "{meta}");
+    assert!(
+        meta["auto"]["trials"].as_array().is_some_and(|trials| [12, 14].contains(&trials.len())),
+        "{meta}"
+    );
     assert_eq!(bvh.order.map(<[u8]>::len), Some(bvh.tree.nodes.len()));
 }
 

@@ -127,7 +127,8 @@ impl<const N: usize> Histogram<N> {
         let cuts = [0, 1, 2].map(|axis| {
             // An axis without extent has no candidates.
             let bins = if grid.scale[axis] == 0.0 { 1 } else { bins };
-            Planes { bounds: &self.bounds[axis][..bins], counts: &self.counts[axis][..bins] }
+            let counts = &self.counts[axis][..bins];
+            Planes { bounds: &self.bounds[axis][..bins], entries: counts, exits: counts }
         });
         let mut probabilities = [[[0.0; N]; 2]; 3];
         let mut scores = probabilities.each_mut().map(|[left, right]| Scores { left, right });
@@ -168,9 +169,11 @@ impl<const N: usize> Histogram<N> {
 }
 
 /// The candidates of one axis: candidate i puts bins 0..=i left and i + 1.. right.
-struct Planes<'a> {
-    bounds: &'a [PaddedAabb],
-    counts: &'a [u32],
+pub(super) struct Planes<'a> {
+    pub bounds: &'a [PaddedAabb],
+    /// How many references begin in each bin, and how many end: the same where each is in one.
+    pub entries: &'a [u32],
+    pub exits: &'a [u32],
 }
 
 impl Cuts for Planes<'_> {
@@ -182,20 +185,20 @@ impl Cuts for Planes<'_> {
     #[inline(always)]
     fn left(&self) -> impl Iterator<Item = Side> {
         let candidates = self.candidates();
-        self.bounds[..candidates].iter().zip(&self.counts[..candidates]).scan(EMPTY, grow)
+        self.bounds[..candidates].iter().zip(&self.entries[..candidates]).scan(EMPTY, grow)
     }
 
     #[inline(always)]
     fn right(&self) -> impl Iterator<Item = Side> {
-        self.bounds[1..].iter().zip(&self.counts[1..]).rev().scan(EMPTY, grow)
+        self.bounds[1..].iter().zip(&self.exits[1..]).rev().scan(EMPTY, grow)
     }
 }
 
-pub(super) const EMPTY: Side = Side { primitives: 0, bounds: PaddedAabb::EMPTY };
+const EMPTY: Side = Side { primitives: 0, bounds: PaddedAabb::EMPTY };
 
 /// Adds a bin to a side.
 #[inline(always)]
-pub(super) fn grow(side: &mut Side, (bounds, &count): (&PaddedAabb, &u32)) -> Option<Side> {
+fn grow(side: &mut Side, (bounds, &count): (&PaddedAabb, &u32)) -> Option<Side> {
     *side = Side { primitives: side.primitives + count as usize, bounds: side.bounds.union(bounds) };
     Some(*side)
 }

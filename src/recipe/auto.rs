@@ -5,13 +5,13 @@
 //! occlusions that end early included. So a recipe that fits its own rays too well loses.
 //!
 //! 1. A tree from area alone, with spatial splits, optimised: what rays have to beat, and the answer when they do not.
-//! 2. One way to use rays, quickly: few queries, rotations only. It comes early so that a scene for which there is no time for more has a tree from rays.
-//! 3. Area with a full sweep, and both as they are built (optimisers raise what diffuse rays cost on some objects). The splits of the cheaper optimised tree are used
-//!    from here on. Then the other ways to use rays, quickly.
+//! 2. Two ways to use rays, quickly: few queries, rotations only. They come early so that a scene for which there is no time for more has a tree from rays.
+//! 3. Area with a full sweep. The splits of the cheaper optimised tree are used from here on, for the two and all other ways to use rays, quickly. Then both trees
+//!    from area as they are built (optimisers raise what diffuse rays cost on some objects).
 //! 4. The two best ways, and the best with another exponent, optimised in full. The cheapest tree so far wins.
 //! 5. The winner's recipe once more, with more patient optimisers and as many of the training queries, judges included, as there is time for.
 //!
-//! Steps 2 and 3 begin trials in the first third of the time, step 4 in the second. More queries than [`FULL`] make hardly better trees and take
+//! Steps 2 and 3 begin trials in the first two fifths of the time, step 4 in the first seven tenths. More queries than [`FULL`] make hardly better trees and take
 //! their time, so that is the last that more time is spent on.
 //!
 //! In a scene of a dozen triangles or fewer, the optimiser of every recipe is the exact one: the best of all trees takes no time.
@@ -48,15 +48,17 @@ pub struct Config {
 /// Most triangles of a scene for which all trees can be tried in no time.
 pub const EXHAUSTIVE: usize = 12;
 
-/// Ways to use rays that are tried; first the one that is best most often.
+/// Ways to use rays that are tried; first the [`EARLY`] ones that are best most often.
 const HEURISTICS: [Heuristic; 5] = [
     Heuristic::Blend { weight: 0.8 },
-    Heuristic::Blend { weight: 0.5 },
     Heuristic::Blend { weight: 0.95 },
+    Heuristic::Blend { weight: 0.5 },
     // Not 1: where no training ray passes, area has to decide, or the tree is arbitrary there and ruinous for any other ray.
     Heuristic::Blend { weight: 0.99 },
     Heuristic::Rdh { floor: 1.0 },
 ];
+
+const EARLY: usize = 2;
 
 /// Most primitives in a leaf, where nothing else is asked for. A test of a primitive is a test like that of a box, so pairs always pay and more do at times.
 pub const MAX_LEAF: usize = 8;
@@ -73,10 +75,9 @@ pub const FULL: usize = 1 << 16;
 /// Queries that judge.
 const JUDGES: usize = 1 << 15;
 
-/// Shares of the time before whose end a quick trial begins, one in full, and one with all that is left.
-const BROWSING: f64 = 1.0 / 3.0;
-const TRYING: f64 = 2.0 / 3.0;
-const WHOLE: f64 = 1.0;
+/// Shares of the time before whose end a quick trial begins, and one in full.
+const BROWSING: f64 = 0.4;
+const TRYING: f64 = 0.7;
 
 /// One recipe that was tried.
 #[derive(Clone, Debug, PartialEq)]
@@ -144,19 +145,15 @@ pub fn choose_with(
     let by_spatial = chooser.cost(&chooser.best.tree);
     chooser.enter(&area, 0, by_spatial);
     let few = even(&segments, QUICK);
-    let mut first = chooser.attempt(&recipes.quick(HEURISTICS[0], splits), &few, WHOLE)?;
+    let mut tried = chooser.quick(&recipes, splits, &HEURISTICS[..EARLY], &few)?;
     let sweep = recipes.full(Heuristic::Sah, Splits::Sweep);
     if chooser.attempt(&sweep, &[], BROWSING)?.is_some_and(|by_sweep| by_sweep < by_spatial) {
         splits = Splits::Sweep;
-        first = None;
+        tried.clear();
     }
+    tried.extend(chooser.quick(&recipes, splits, &HEURISTICS[tried.len()..], &few)?);
     for recipe in [&sweep, &area] {
         chooser.attempt(&Recipe { stages: Vec::new(), ..recipe.clone() }, &[], BROWSING)?;
-    }
-    let mut tried: Vec<(Heuristic, f64)> = first.map(|cost| (HEURISTICS[0], cost)).into_iter().collect();
-    for &heuristic in &HEURISTICS[tried.len()..] {
-        let cost = chooser.attempt(&recipes.quick(heuristic, splits), &few, BROWSING)?;
-        tried.extend(cost.map(|cost| (heuristic, cost)));
     }
     tried.sort_by(|a, b| a.1.total_cmp(&b.1));
     // With no time for any of them, the first is tried in full.
@@ -286,6 +283,22 @@ impl<'a> Chooser<'a> {
         }
         self.enter(recipe, rays.len(), cost);
         Ok(Some(cost))
+    }
+
+    /// Tries heuristics quickly, and returns those for which there was time.
+    fn quick(
+        &mut self,
+        recipes: &Recipes,
+        splits: Splits,
+        heuristics: &[Heuristic],
+        rays: &[Ray],
+    ) -> Result<Vec<(Heuristic, f64)>, RecipeError> {
+        let mut tried = Vec::new();
+        for &heuristic in heuristics {
+            let cost = self.attempt(&recipes.quick(heuristic, splits), rays, BROWSING)?;
+            tried.extend(cost.map(|cost| (heuristic, cost)));
+        }
+        Ok(tried)
     }
 
     /// What a judging query costs.

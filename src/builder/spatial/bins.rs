@@ -6,12 +6,12 @@
 //! triangle is followed from plane to plane. The boxes of those parts only compare candidates, so they are computed in single
 //! precision; what a chosen plane really makes of a triangle, [`crate::builder::clip`] says.
 
-use crate::builder::binned::{EMPTY, grow};
+use crate::builder::binned::Planes;
 use crate::builder::cost::Weight;
 use crate::builder::reference::Reference;
 use crate::geometry::Triangle;
 use crate::geometry::padded::PaddedAabb;
-use crate::probability::{Cuts, Probability, Scores, Side};
+use crate::probability::{Cuts, Probability, Scores};
 use glam::Vec4;
 
 /// Divides a node's box into bins.
@@ -164,31 +164,6 @@ impl<const N: usize> Histogram<N> {
         let (left, right) = self.bounds[best.axis].split_at(best.bin);
         best.bounds = [around(left), around(right)];
         Some(best)
-    }
-}
-
-/// The candidates of one axis: candidate i has bins 0..=i on the left and i + 1.. on the right.
-struct Planes<'a> {
-    bounds: &'a [PaddedAabb],
-    entries: &'a [u32],
-    exits: &'a [u32],
-}
-
-impl Cuts for Planes<'_> {
-    #[inline(always)]
-    fn candidates(&self) -> usize {
-        self.bounds.len() - 1
-    }
-
-    #[inline(always)]
-    fn left(&self) -> impl Iterator<Item = Side> {
-        let candidates = self.candidates();
-        self.bounds[..candidates].iter().zip(&self.entries[..candidates]).scan(EMPTY, grow)
-    }
-
-    #[inline(always)]
-    fn right(&self) -> impl Iterator<Item = Side> {
-        self.bounds[1..].iter().zip(&self.exits[1..]).rev().scan(EMPTY, grow)
     }
 }
 
