@@ -36,6 +36,7 @@ pub mod working;
 use crate::builder::MAX_DEPTH;
 use crate::progress::Progress;
 use crate::tree::Tree;
+use crate::tree::statistics::Statistics;
 use measure::Measure;
 use std::time::Instant;
 use thiserror::Error;
@@ -109,6 +110,8 @@ pub struct Report {
     /// T after; never more.
     pub after: f64,
     pub stages: Vec<StageReport>,
+    /// P of every node of the tree as it is now.
+    pub probabilities: Vec<f64>,
 }
 
 /// Why a tree cannot be optimised.
@@ -134,14 +137,17 @@ pub fn run<M: Measure>(
     progress: &Progress,
 ) -> Result<Report, OptimizeError> {
     check(tree, config)?;
-    let mut working = Working::new(tree, measure);
-    working.deadline = config.deadline;
+    let read = |tree: &Tree| {
+        let mut working = Working::new(tree, measure);
+        working.deadline = config.deadline;
+        (working, tree.primitives.clone())
+    };
+    let (mut working, mut primitives) = read(tree);
     let before = working.cost();
-    let limit = working.depth().max(MAX_DEPTH);
+    let mut after = before;
+    let mut probabilities = None;
     let mut stages = Vec::with_capacity(config.stages.len());
-    for &stage in &config.stages {
-        let nodes = working.nodes.clone();
-        let cost = working.cost();
+    for (number, &stage) in config.stages.iter().enumerate() {
         let steps = match stage {
             Stage::Rotations(config) => rotations::climb(&mut working, &config),
             Stage::Annealing(config) => annealing::anneal(&mut working, &config),
@@ -149,18 +155,20 @@ pub fn run<M: Measure>(
             Stage::Reinsertion(config) => reinsertion::reinsert(&mut working, &config),
             Stage::Treelets(config) => treelets::restructure(&mut working, &config),
         };
-        let too_deep = working.depth() > limit;
-        if too_deep || working.cost() > cost {
-            working.restore(nodes);
+        let written = working.written(&primitives);
+        let (cost, depth) = (written.cost(), written.depth);
+        let too_deep = depth > MAX_DEPTH && depth > Statistics::of(tree.view()).depth;
+        if !too_deep && cost < after {
+            after = cost;
+            (*tree, probabilities) = (written.tree, Some(written.values));
+        } else if number + 1 < config.stages.len() {
+            (working, primitives) = read(tree);
         }
         stages.push(StageReport { stage, steps, undone: too_deep });
         progress.advance(1);
     }
-    let after = working.cost();
-    if after < before {
-        *tree = working.tree(&tree.primitives);
-    }
-    Ok(Report { before, after: after.min(before), stages })
+    let probabilities = probabilities.unwrap_or_else(|| Working::new(tree, measure).values());
+    Ok(Report { before, after, stages, probabilities })
 }
 
 fn check(tree: &Tree, config: &Config) -> Result<(), OptimizeError> {

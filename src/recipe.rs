@@ -11,7 +11,6 @@ use crate::builder::reference::References;
 use crate::builder::{self, BuildError, build_with};
 use crate::geometry::{Ray, Triangle};
 use crate::optimize::measure::{AreaMeasure, Estimate, Measure, RayMeasure};
-use crate::optimize::working::Working;
 use crate::optimize::{self, OptimizeError, Stage};
 use crate::probability::area::Area;
 use crate::probability::blend::{Blend, WeightError};
@@ -168,12 +167,12 @@ impl Recipe {
         progress: &Progress,
     ) -> Result<(), OptimizeError> {
         let stages = optimize::Config { stages: self.stages.clone(), deadline };
-        made.optimized = Some(optimize::run(&mut made.tree, measure, &stages, progress)?);
+        let report = optimize::run(&mut made.tree, measure, &stages, progress)?;
         let builder::Config { max_leaf, c_i, c_p, .. } = self.builder;
         if max_leaf > 1 {
-            let probabilities = Working::new(&made.tree, measure).values;
-            made.tree = merge_leaves(&made.tree, &probabilities, c_i, c_p, max_leaf);
+            made.tree = merge_leaves(&made.tree, &report.probabilities, c_i, c_p, max_leaf);
         }
+        made.optimized = Some(report);
         Ok(())
     }
 

@@ -87,10 +87,10 @@ pub fn plan<M: Measure>(working: &Working<M>, node: u32, target: u32) -> Option<
 
 /// What a move replaced.
 pub struct Undo<L> {
-    /// Nodes with their old links and boxes.
+    /// Nodes as they were.
     nodes: Vec<(u32, Node)>,
-    /// Inner nodes with their old P and lists.
-    lists: Vec<(u32, f64, L)>,
+    /// Inner nodes with their old lists.
+    lists: Vec<(u32, L)>,
 }
 
 impl<L> Undo<L> {
@@ -114,8 +114,7 @@ pub fn carry_out<M: Measure>(working: &mut Working<M>, plan: Plan<M::List>) -> U
     working.replace_child(to, target, parent);
     working.adopt(parent, [target, node]);
     for (index, bounds, list) in changes {
-        let value = working.value(index);
-        undo.lists.push((index, value, working.set(index, bounds, list)));
+        undo.lists.push((index, working.set(index, bounds, list)));
     }
     undo
 }
@@ -125,8 +124,7 @@ pub fn take_back<M: Measure>(working: &mut Working<M>, undo: Undo<M::List>) {
     for (index, node) in undo.nodes {
         working.nodes[index as usize] = node;
     }
-    for (index, value, list) in undo.lists {
-        working.values[index as usize] = value;
+    for (index, list) in undo.lists {
         working.lists[index as usize] = list;
     }
 }

@@ -52,28 +52,31 @@ impl Config {
 const WORTHWHILE: f64 = 1e-6;
 
 /// So many nodes are tried in any case: small trees take no time.
-const LEAST: usize = 1 << 12;
+const LEAST: usize = 1 << 14;
 
-/// Nodes that search side by side before their moves are carried out. Fewer see a fresher tree, more keep more threads busy.
-const BATCH: usize = 1 << 13;
+/// Nodes that search side by side before their moves are carried out. Fewer see a fresher tree, which hardly matters; more lie nearer to each
+/// other, so that caches help, which does, and keep more threads busy.
+const BATCH: usize = 1 << 17;
 
 /// Moves subtrees until it does not pay any more. One step a batch.
 pub fn reinsert<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<Step> {
     let mut steps: Vec<Step> = Vec::new();
     let (mut cost, mut work, mut moves) = (working.cost(), 0, 0);
+    let mut new = cost;
     // Nodes that may have a better place: those that were not searched for since anything near them changed.
     let mut open = vec![true; working.nodes.len()];
+    let least = least_likely(working, config.share);
     for _ in 0..config.batches {
-        let nodes = likeliest(working, config.share, &open);
+        let nodes = likeliest(working, least, &open);
         for batch in nodes.chunks(BATCH) {
             if work >= config.max_work || working.out_of_time() {
                 break;
             }
-            let (done, tested) = move_batch(working, batch, config, &mut open);
-            moves += done;
-            work += tested;
+            let done = move_batch(working, batch, config, &mut open);
+            moves += done.moves;
+            work += done.work;
+            new -= done.gain;
         }
-        let new = working.cost();
         steps.push(Step { cost: new, moves, work });
         if new > cost * (1.0 - config.least_gain) || work >= config.max_work || working.out_of_time() {
             break;
@@ -83,41 +86,59 @@ pub fn reinsert<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<St
     steps
 }
 
-/// The share of the nodes that has the greatest P, those of them that are open, greatest first.
-fn likeliest<M: Measure>(working: &Working<M>, share: f64, open: &[bool]) -> Vec<u32> {
-    // P in single precision, inverted, above the number: not negative, so the bits are in order.
-    let key = |node: u32| u64::from(!(working.value(node) as f32).to_bits()) << 32 | u64::from(node);
+/// P, inverted, so that the greatest comes first, in single precision: it is not negative, so its bits are in order.
+fn rank(value: f64) -> u32 {
+    !(value as f32).to_bits()
+}
+
+/// The rank of the last node that belongs to the share with the greatest P.
+fn least_likely<M: Measure>(working: &Working<M>, share: f64) -> u32 {
     let nodes = 0..working.nodes.len() as u32;
-    let mut keys: Vec<u64> = nodes.into_par_iter().filter(|&node| can_move(working, node)).map(key).collect();
-    let count = ((keys.len() as f64 * share).ceil() as usize).max(LEAST);
-    if count < keys.len() {
-        keys.select_nth_unstable(count);
-        keys.truncate(count);
-    }
-    keys.retain(|&key| open[key as u32 as usize]);
+    let mut ranks: Vec<u32> = nodes.map(|node| rank(working.value(node))).collect();
+    let count = ((ranks.len() as f64 * share).ceil() as usize).max(LEAST);
+    if count < ranks.len() { *ranks.select_nth_unstable(count).1 } else { u32::MAX }
+}
+
+/// The open nodes of at most this rank, greatest P first.
+fn likeliest<M: Measure>(working: &Working<M>, least: u32, open: &[bool]) -> Vec<u32> {
+    let key = |(node, &open): (usize, &bool)| {
+        let key = || u64::from(rank(working.value(node as u32))) << 32 | node as u64;
+        open.then(key).filter(|key| (key >> 32) as u32 <= least && can_move(working, node as u32))
+    };
+    let mut keys: Vec<u64> = open.par_iter().enumerate().filter_map(key).collect();
     keys.par_sort_unstable();
     keys.into_iter().map(|key| key as u32).collect()
 }
 
-/// Searches for all of `batch` at once, then moves one after another. Returns the number of moves and the work.
+/// What a batch did.
+struct Done {
+    moves: u64,
+    work: u64,
+    gain: f64,
+}
+
+/// Searches for all of `batch` at once, then moves one after another.
 fn move_batch<M: Measure>(
     working: &mut Working<M>,
     batch: &[u32],
     config: &Config,
     open: &mut [bool],
-) -> (u64, u64) {
+) -> Done {
     let limits = Limits { least_gain: WORTHWHILE, work: config.search_work };
     let tree = &*working;
     let search = |&node: &u32| if can_move(tree, node) { place(tree, node, &limits) } else { (None, 0) };
+    // In the order of their numbers, which is nearly that of the tree: searches that follow each other see the same nodes.
+    let mut batch = batch.to_vec();
+    batch.par_sort_unstable();
     let found: Vec<_> = batch.par_iter().map(search).collect();
     let mut work: u64 = found.iter().map(|(_, work)| work).sum();
     let mut places = Vec::new();
-    for (&node, (place, _)) in batch.iter().zip(found) {
+    for (node, (place, _)) in batch.into_iter().zip(found) {
         open[node as usize] = false;
         places.extend(place.map(|place| (node, place)));
     }
     places.sort_by(|(_, a), (_, b)| b.gain.total_cmp(&a.gain));
-    let mut moves = 0;
+    let (mut moves, mut gain) = (0, 0.0);
     for (node, place) in places {
         let plan = plan(working, node, place.target);
         work += plan.as_ref().map_or(0, |plan| plan.work);
@@ -126,6 +147,7 @@ fn move_batch<M: Measure>(
             open[node as usize] = true;
             continue;
         };
+        gain += plan.gain;
         let undo = carry_out(working, plan);
         moves += 1;
         for index in undo.touched() {
@@ -135,5 +157,5 @@ fn move_batch<M: Measure>(
             }
         }
     }
-    (moves, work)
+    Done { moves, work, gain }
 }

@@ -1,6 +1,6 @@
 //! A binary tree that can be changed: parents, boxes, P of every node and the list of every inner one, all kept up to date.
 //!
-//! [`Working::new`] reads a [`Tree`]; optimisers move subtrees; [`Working::tree`] writes it back, depth first. Leaves never change: their
+//! [`Working::new`] reads a [`Tree`]; optimisers move subtrees; [`Working::written`] writes it back, depth first. Leaves never change: their
 //! boxes are kept as they were (a spatial split clips them to less than their triangles), and inner boxes are the union of
 //! their children's. The root keeps number 0.
 
@@ -13,9 +13,13 @@ use std::time::Instant;
 /// No parent.
 pub const NONE: u32 = u32::MAX;
 
+/// One cache line: a search sees a few dozen nodes all over the tree, and reads everything about each.
 #[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
 pub struct Node {
     pub bounds: PaddedAabb,
+    /// P.
+    value: f64,
     pub parent: u32,
     /// Inner: both children. Leaf: its first entry of the primitives, and [`LEAF_BIT`] with their number.
     below: [u32; 2],
@@ -42,12 +46,27 @@ impl Node {
     }
 }
 
+/// A tree that was written back.
+pub struct Written {
+    pub tree: Tree,
+    /// P of every node.
+    pub values: Vec<f64>,
+    /// Levels; a lone root has depth 1.
+    pub depth: usize,
+}
+
+impl Written {
+    /// T: Σ P over inner nodes.
+    pub fn cost(&self) -> f64 {
+        let nodes = self.tree.nodes.iter().zip(&self.values);
+        nodes.filter(|(node, _)| !node.is_leaf()).map(|(_, value)| value).sum()
+    }
+}
+
 /// The tree with its measure.
 pub struct Working<'m, M: Measure> {
     pub measure: &'m M,
     pub nodes: Vec<Node>,
-    /// P of every node.
-    pub values: Vec<f64>,
     /// Of every inner node; a leaf's is empty.
     pub lists: Vec<M::List>,
     /// When to stop, for those who want a tree after so many seconds and not always the same one.
@@ -59,9 +78,9 @@ impl<'m, M: Measure> Working<'m, M> {
     pub fn new(tree: &Tree, measure: &'m M) -> Working<'m, M> {
         let node = |node: &FileNode| {
             let below = if node.is_leaf() { [node.first, node.count] } else { [node.first, node.first + 1] };
-            Node { bounds: node.bounds().into(), parent: NONE, below }
+            Node { bounds: node.bounds().into(), value: 0.0, parent: NONE, below }
         };
-        let mut nodes: Vec<Node> = tree.nodes.iter().map(node).collect();
+        let mut nodes: Vec<Node> = tree.nodes.par_iter().map(node).collect();
         for index in (0..nodes.len()).rev() {
             if !nodes[index].is_leaf() {
                 let [left, right] = nodes[index].children().map(|child| child as usize);
@@ -71,23 +90,18 @@ impl<'m, M: Measure> Working<'m, M> {
             }
         }
         let count = nodes.len();
-        let mut working = Working {
-            measure,
-            nodes,
-            values: vec![0.0; count],
-            lists: vec![M::List::default(); count],
-            deadline: None,
-        };
+        let mut working = Working { measure, nodes, lists: vec![M::List::default(); count], deadline: None };
         let list = measure.within(&measure.whole(), &working.nodes[0].bounds);
-        working.values[0] = measure.value(&working.nodes[0].bounds, &list);
+        working.nodes[0].value = measure.value(&working.nodes[0].bounds, &list);
         working.lists[0] = list;
-        working.recount();
+        // Children stand behind their parents.
+        working.recount(0..count as u32);
         working
     }
 
-    /// Makes the lists and values of all nodes from that of the root.
-    fn recount(&mut self) {
-        for index in self.order() {
+    /// Makes the lists and P of all nodes from the list of the root. `order` has parents before children.
+    fn recount(&mut self, order: impl IntoIterator<Item = u32>) {
+        for index in order {
             if self.node(index).is_leaf() {
                 self.lists[index as usize] = M::List::default();
                 continue;
@@ -95,7 +109,7 @@ impl<'m, M: Measure> Working<'m, M> {
             for child in self.node(index).children() {
                 let bounds = *self.bounds(child);
                 let list = self.measure.within(self.list(index), &bounds);
-                self.values[child as usize] = self.measure.value(&bounds, &list);
+                self.nodes[child as usize].value = self.measure.value(&bounds, &list);
                 self.lists[child as usize] = list;
             }
         }
@@ -109,20 +123,7 @@ impl<'m, M: Measure> Working<'m, M> {
     /// Goes back to an earlier state: `nodes` is a copy of this tree's nodes from then.
     pub fn restore(&mut self, nodes: Vec<Node>) {
         self.nodes = nodes;
-        self.recount();
-    }
-
-    /// Levels; a lone root has depth 1.
-    pub fn depth(&self) -> usize {
-        let mut level = vec![1; self.nodes.len()];
-        for index in self.order() {
-            if !self.node(index).is_leaf() {
-                for child in self.node(index).children() {
-                    level[child as usize] = level[index as usize] + 1;
-                }
-            }
-        }
-        level.into_iter().max().unwrap_or(0)
+        self.recount(self.order());
     }
 
     #[inline(always)]
@@ -137,7 +138,7 @@ impl<'m, M: Measure> Working<'m, M> {
 
     #[inline(always)]
     pub fn value(&self, index: u32) -> f64 {
-        self.values[index as usize]
+        self.node(index).value
     }
 
     #[inline(always)]
@@ -153,7 +154,12 @@ impl<'m, M: Measure> Working<'m, M> {
 
     /// T: Σ P over inner nodes. Leaves add the same to every tree that an optimiser can make.
     pub fn cost(&self) -> f64 {
-        self.nodes.iter().zip(&self.values).filter(|(node, _)| !node.is_leaf()).map(|(_, value)| value).sum()
+        self.nodes.iter().filter(|node| !node.is_leaf()).map(|node| node.value).sum()
+    }
+
+    /// P of every node.
+    pub fn values(&self) -> Vec<f64> {
+        self.nodes.iter().map(|node| node.value).collect()
     }
 
     /// Hangs `new` where `old` is below `parent`.
@@ -175,8 +181,8 @@ impl<'m, M: Measure> Working<'m, M> {
 
     /// Gives an inner node a new box; `list` is its list. Returns the old list.
     pub fn set(&mut self, index: u32, bounds: PaddedAabb, list: M::List) -> M::List {
-        self.values[index as usize] = self.measure.value(&bounds, &list);
-        self.nodes[index as usize].bounds = bounds;
+        let node = &mut self.nodes[index as usize];
+        (node.bounds, node.value) = (bounds, self.measure.value(&bounds, &list));
         std::mem::replace(&mut self.lists[index as usize], list)
     }
 
@@ -187,15 +193,19 @@ impl<'m, M: Measure> Working<'m, M> {
 
     /// The tree as builders return it: siblings adjacent, below a pair the whole left subtree, then the whole right one, primitives in
     /// the order of their leaves. `primitives` are those of the tree that was read.
-    pub fn tree(&self, primitives: &[u32]) -> Tree {
+    pub fn written(&self, primitives: &[u32]) -> Written {
         let mut tree = Tree {
             nodes: Vec::with_capacity(self.nodes.len()),
             primitives: Vec::with_capacity(primitives.len()),
         };
+        let mut values = Vec::with_capacity(self.nodes.len());
+        values.push(self.value(0));
         tree.nodes.push(FileNode::inner(PaddedAabb::EMPTY.into(), 0, 0));
         // Nodes whose place is known, but not what is below.
-        let mut places = vec![(0u32, 0usize)];
-        while let Some((index, place)) = places.pop() {
+        let mut places = vec![(0u32, 0usize, 1usize)];
+        let mut depth = 0;
+        while let Some((index, place, level)) = places.pop() {
+            depth = depth.max(level);
             let node = self.node(index);
             tree.nodes[place] = if node.is_leaf() {
                 let first = tree.primitives.len();
@@ -205,11 +215,12 @@ impl<'m, M: Measure> Working<'m, M> {
                 let first = tree.nodes.len();
                 let [left, right] = node.children();
                 tree.nodes.extend([FileNode::inner(PaddedAabb::EMPTY.into(), 0, 0); 2]);
-                places.extend([(right, first + 1), (left, first)]);
+                values.extend([self.value(left), self.value(right)]);
+                places.extend([(right, first + 1, level + 1), (left, first, level + 1)]);
                 FileNode::inner(node.bounds.into(), first as u32, 2)
             };
         }
-        tree
+        Written { tree, values, depth }
     }
 }
 
@@ -294,23 +305,21 @@ impl<'m, M: Measure> Working<'m, M> {
             }
         }
         nodes[0].parent = NONE;
-        let values = numbers.iter().map(|&number| self.value(number)).collect();
         let lists = numbers.iter().map(|&number| std::mem::take(&mut self.lists[number as usize])).collect();
-        (Working { measure: self.measure, nodes, values, lists, deadline: self.deadline }, numbers)
+        (Working { measure: self.measure, nodes, lists, deadline: self.deadline }, numbers)
     }
 
     /// Puts a subtree back where it was.
     fn put_back(&mut self, subtree: Working<'m, M>, numbers: &[u32]) {
         let parent = self.node(numbers[0]).parent;
-        let Working { nodes, values, lists, .. } = subtree;
-        for (((node, value), list), &number) in nodes.into_iter().zip(values).zip(lists).zip(numbers) {
+        let Working { nodes, lists, .. } = subtree;
+        for ((node, list), &number) in nodes.into_iter().zip(lists).zip(numbers) {
             let mut node = node;
             if !node.is_leaf() {
                 node.below = node.below.map(|child| numbers[child as usize]);
             }
             node.parent = numbers.get(node.parent as usize).copied().unwrap_or(parent);
             self.nodes[number as usize] = node;
-            self.values[number as usize] = value;
             self.lists[number as usize] = list;
         }
     }
