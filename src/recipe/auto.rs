@@ -9,7 +9,7 @@
 //! 3. Area with a full sweep. The splits of the cheaper optimised tree are used from here on, for the two and all other ways to use rays, quickly. Then both trees
 //!    from area as they are built (optimisers raise what diffuse rays cost on some objects).
 //! 4. The two best ways, and the best with another exponent, optimised in full. The cheapest tree so far wins.
-//! 5. The winner's recipe once more, with more patient optimisers and as many of the training queries, judges included, as there is time for.
+//! 5. The winner's recipe once more, with more patient optimisers and as many of the queries that are fitted as there is time for. It wins where the judges agree.
 //!
 //! Steps 2 and 3 begin trials in the first two fifths of the time, step 4 in the first seven tenths. More queries than [`FULL`] make hardly better trees and take
 //! their time, so that is the last that more time is spent on.
@@ -70,7 +70,7 @@ const ALPHA: f64 = 0.9;
 const QUICK: usize = 1 << 14;
 
 /// Queries that the trials in full are fitted to.
-pub const FULL: usize = 1 << 16;
+const FULL: usize = 1 << 16;
 
 /// Queries that judge.
 const JUDGES: usize = 1 << 15;
@@ -168,7 +168,7 @@ pub fn choose_with(
         chooser.attempt(recipe, &many, TRYING)?;
     }
     let all: Vec<Ray> = queries.iter().map(|query| query.segment).collect();
-    chooser.finish(&recipes, &all)
+    chooser.finish(&recipes, &segments, &all)
 }
 
 /// The recipes that are tried.
@@ -202,17 +202,14 @@ impl Recipes<'_> {
         self.with(heuristic, splits, stages)
     }
 
-    /// A recipe with more patient optimisers, where it has any that are not exact.
-    fn patient(&self, recipe: &Recipe) -> Recipe {
-        let mut stages = recipe.stages.clone();
-        if !self.exact && !stages.is_empty() {
-            stages = vec![
-                Stage::Rotations(rotations::Config::default()),
-                Stage::Reinsertion(reinsertion::Config::default()),
-                Stage::Treelets(treelets::Config::default()),
-                Stage::Reinsertion(reinsertion::Config::PATIENT),
-            ];
-        }
+    /// A recipe with more patient optimisers.
+    fn patient(recipe: &Recipe) -> Recipe {
+        let stages = vec![
+            Stage::Rotations(rotations::Config::default()),
+            Stage::Reinsertion(reinsertion::Config::default()),
+            Stage::Treelets(treelets::Config::default()),
+            Stage::Reinsertion(reinsertion::Config::PATIENT),
+        ];
         Recipe { stages, ..recipe.clone() }
     }
 }
@@ -312,18 +309,25 @@ impl<'a> Chooser<'a> {
         self.trials.push(Trial { recipe: recipe.clone(), queries, cost });
     }
 
-    /// The winner's recipe once more, from as many of `rays` as there is time for; the tree of the trial where there is too little.
-    fn finish(mut self, recipes: &Recipes, rays: &[Ray]) -> Result<Chosen, RecipeError> {
-        let Trial { mut recipe, mut queries, .. } = self.trials[self.winner].clone();
+    /// The winner's recipe once more, from as many of `fit` as there is time for; it is kept where it is cheaper, for patience can fit rays too well.
+    /// Trees that are the best of all for their rays do not need that check, and take the rays of the judges, too.
+    fn finish(mut self, recipes: &Recipes, fit: &[Ray], all: &[Ray]) -> Result<Chosen, RecipeError> {
+        let Trial { recipe, queries, .. } = self.trials[self.winner].clone();
+        if recipes.exact {
+            let needs_rays = recipe.heuristic.needs_rays();
+            if needs_rays && self.seconds_left() > 0.0 {
+                self.best = self.follow(&recipe, all)?;
+            }
+            let winner = Some(self.winner);
+            return Ok(self.end(recipe, winner, if needs_rays { all.len() } else { 0 }));
+        }
         // Optimisers stop in time, and queries take it in proportion; but builders have to come to their end.
         let room = self.seconds_left() / (1.5 * self.best_seconds);
         if room >= 1.0 && !recipe.stages.is_empty() {
-            if recipe.heuristic.needs_rays() {
-                queries = rays.len().min((queries as f64 * room) as usize);
-            }
-            recipe = recipes.patient(&recipe);
-            self.best = self.follow(&recipe, &even(rays, queries))?;
+            let most = (queries as f64 * room) as usize;
+            self.attempt(&Recipes::patient(&recipe), &even(fit, most), 1.0)?;
         }
+        let Trial { recipe, queries, .. } = self.trials[self.winner].clone();
         let winner = Some(self.winner);
         Ok(self.end(recipe, winner, queries))
     }
