@@ -11,7 +11,7 @@
 //! 4. The two best ways, and the best with another exponent, optimised in full. The cheapest tree so far wins.
 //! 5. The winner's recipe once more, with more patient optimisers and as many of the queries that are fitted as there is time for. It wins where the judges agree.
 //!
-//! Steps 2 and 3 begin trials in the first two fifths of the time, step 4 in the first seven tenths. More queries than [`FULL`] make hardly better trees and take
+//! Steps 2 and 3 begin trials in the first two fifths of the time, step 4 in the first seven tenths. More queries than 65,536 make hardly better trees and take
 //! their time, so that is the last that more time is spent on.
 //!
 //! In a scene of a dozen triangles or fewer, the optimiser of every recipe is the exact one: the best of all trees takes no time.

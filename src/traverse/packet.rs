@@ -1,7 +1,7 @@
 //! Packets: up to 256 queries of one kind that follow a tree together.
 //!
-//! A packet's rays are tested against boxes and triangles eight at a time (an *octet*, [`bundle`]); where many octets are active, the rules of
-//! Wald, Boulos and Shirley spare most of that ([`descend`], [`frustum`]). Rays that run in different directions along some axis go apart,
+//! A packet's rays are tested against boxes and triangles eight at a time (an *octet*, `bundle`); where many octets are active, the rules of
+//! Wald, Boulos and Shirley spare most of that (`descend`, `frustum`). Rays that run in different directions along some axis go apart,
 //! and few that remain alone go singly. Answers are those of single rays, bit for bit.
 
 mod bundle;
