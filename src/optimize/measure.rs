@@ -15,6 +15,10 @@ pub trait Measure: Sync {
     /// What is kept for an inner node.
     type List: Clone + Default + Send + Sync;
 
+    /// Nodes for which places are looked for side by side before any of them moves. Fewer see a fresher tree; more lie nearer to each other, so that
+    /// caches help, and keep more threads busy.
+    const BATCH: usize;
+
     /// The list of a box that holds everything.
     fn whole(&self) -> Self::List;
 
@@ -70,6 +74,9 @@ impl AreaMeasure {
 
 impl Measure for AreaMeasure {
     type List = ();
+
+    // A search waits for memory, and for little else.
+    const BATCH: usize = 1 << 17;
 
     fn whole(&self) {}
 
@@ -197,6 +204,9 @@ impl RayMeasure {
 
 impl Measure for RayMeasure {
     type List = Vec<u32>;
+
+    // A search counts rays.
+    const BATCH: usize = 1 << 13;
 
     fn whole(&self) -> Vec<u32> {
         (0..self.segments.len() as u32).collect()

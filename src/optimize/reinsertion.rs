@@ -54,10 +54,6 @@ const WORTHWHILE: f64 = 1e-6;
 /// So many nodes are tried in any case: small trees take no time.
 const LEAST: usize = 1 << 14;
 
-/// Nodes that search side by side before their moves are carried out. Fewer see a fresher tree, which hardly matters; more lie nearer to each
-/// other, so that caches help, which does, and keep more threads busy.
-const BATCH: usize = 1 << 17;
-
 /// Moves subtrees until it does not pay any more. One step a batch.
 pub fn reinsert<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<Step> {
     let mut steps: Vec<Step> = Vec::new();
@@ -68,7 +64,7 @@ pub fn reinsert<M: Measure>(working: &mut Working<M>, config: &Config) -> Vec<St
     let least = least_likely(working, config.share);
     for _ in 0..config.batches {
         let nodes = likeliest(working, least, &open);
-        for batch in nodes.chunks(BATCH) {
+        for batch in nodes.chunks(M::BATCH) {
             if work >= config.max_work || working.out_of_time() {
                 break;
             }
