@@ -324,7 +324,8 @@ impl Prepared {
         let best = match traversal {
             Traversal::Odf => with_form!(self, form => {
                 let stack = scratch.room.stack(self.stack_size);
-                odf::run::<ANY, M, _>(form, root, order, blocks, ray, candidates, observer, stack)
+                let best = leaf::Best::end_of(ray);
+                odf::run::<ANY, M, _>(form, root, order, blocks, ray, candidates, observer, best, stack)
             }),
             Traversal::RayOrder => with_form!(self, form => {
                 let queue = &mut scratch.queue;

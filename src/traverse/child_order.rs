@@ -195,8 +195,15 @@ impl ByRule<'_> {
             (OcclusionOrder::Random(seed), Some(first)) => Drawn::new(*seed, &PreparedRay::new(first)),
             _ => Drawn(0),
         };
-        let start = rays.iter().fold(f32::NEG_INFINITY, |start, ray| ray.tnear.max(start));
+        let start = match order {
+            OcclusionOrder::Outside => rays.iter().fold(f32::NEG_INFINITY, |start, ray| ray.tnear.max(start)),
+            _ => f32::NEG_INFINITY,
+        };
         ByRule { order, drawn, start }
+    }
+
+    pub fn is_nearest(&self) -> bool {
+        *self.order == OcclusionOrder::Nearest
     }
 }
 

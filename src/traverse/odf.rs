@@ -10,7 +10,8 @@ use super::observer::Observer;
 use super::ray::PreparedRay;
 use super::simd::{Machine, prefetch};
 
-/// Follows `root`, whose box the ray overlaps. With `ANY` any hit is an answer, else the closest.
+/// Follows `root`, whose box the ray overlaps no later than `best`, which is what is known already. With `ANY` any hit is an answer, else the
+/// closest.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)] // One call site; a struct would only rename them.
 pub(super) fn run<const ANY: bool, M: Machine, F: Form<M>>(
@@ -21,10 +22,10 @@ pub(super) fn run<const ANY: bool, M: Machine, F: Form<M>>(
     ray: &PreparedRay,
     candidates: &impl Candidates,
     observer: &mut impl Observer,
+    mut best: Best,
     mut stack: Stack,
 ) -> Best {
     let (form_ray, block_ray) = (F::ray(ray), BlockRay::new(ray));
-    let mut best = Best::end_of(ray);
     let mut current = root;
     let fetch = |link: &Link| {
         let leaf = blocks.address(link.first as usize);

@@ -12,12 +12,15 @@ mod watch;
 pub use watch::{Decisions, PacketCounts, PacketObserver, Rule};
 
 use super::candidates::Candidates;
-use super::child_order::{ByRule, OcclusionOrder};
-use super::form::Faces;
+use super::child_order::{ByRule, NearestFirst, OcclusionOrder};
+use super::form::{Link, Room};
+use super::leaf::Best;
+use super::observer::Observer;
+use super::ray::PreparedRay;
 use super::simd::{self, Machine};
-use super::{Hit, Prepared, Traversal};
+use super::{Hit, Prepared, Traversal, odf};
 use crate::geometry::Ray;
-use bundle::{Bundle, LANES, OCTETS};
+use bundle::{Bundles, LANES, OCTETS};
 use descend::Agenda;
 
 /// Most queries of a packet.
@@ -26,7 +29,7 @@ pub const MOST: usize = OCTETS * LANES;
 /// What one thread keeps from packet to packet.
 #[derive(Debug, Default)]
 pub struct PacketScratch {
-    bundle: Bundle,
+    bundles: Bundles,
     agenda: Agenda,
 }
 
@@ -94,28 +97,80 @@ impl Prepared {
     #[inline(always)]
     fn packet_on<const ANY: bool, M: Machine, C: Candidates, O: PacketObserver>(&self, task: Task<C, O>) {
         let Task { traversal, order, rays, candidates, observer, scratch, answers } = task;
-        let PacketScratch { bundle, agenda } = scratch;
+        let PacketScratch { bundles, agenda } = scratch;
         answers.fill(None);
-        let mut ways = bundle.prepare::<M::Eight>(rays);
+        let mut ways = bundles.prepare::<M::Eight>(rays);
         let only = ways.is_power_of_two();
         while ways != 0 {
-            bundle.take(ways.trailing_zeros() as usize, only);
+            bundles.take(ways.trailing_zeros() as usize, only);
             ways &= ways - 1;
-            let bounds = [self.root_bounds.lower, self.root_bounds.upper];
-            let faces = Faces::new(|axis, side| bounds[side][axis], &bundle.near_face);
-            let (root, blocks) = (self.root, &self.blocks);
-            macro_rules! run {
-                ($front_to_back:literal) => {
-                    with_form!(self, form => descend::run::<ANY, $front_to_back, M, _, C>(
-                        form, root, faces, &order, blocks, bundle, candidates, observer, agenda,
-                    ))
-                };
-            }
-            match traversal {
-                Traversal::Odf => run!(false),
-                Traversal::RayOrder => run!(true),
-            }
-            bundle.answer(answers);
+            with_form!(self, form => descend::run::<ANY, M::Eight, C>(
+                self, form, traversal, &order, bundles, candidates, observer, agenda,
+            ));
+            bundles.current().answer(answers);
         }
+    }
+
+    /// Where a ray of a packet goes on alone: follows `from`, whose box it enters no later than `best`, which is what is known already.
+    #[allow(clippy::too_many_arguments)] // As many as the traversal has.
+    fn resume<const ANY: bool, O: Observer>(
+        &self,
+        order: &ByRule,
+        from: Link,
+        ray: &PreparedRay,
+        candidates: &impl Candidates,
+        observer: &mut O,
+        best: Best,
+        room: &mut Room,
+    ) -> Best {
+        #[cfg(target_arch = "x86_64")]
+        if self.fused {
+            // SAFETY: the processor has both features, or `fused` would be false.
+            return unsafe {
+                self.resume_fused::<ANY, O>(order, from, ray, candidates, observer, best, room)
+            };
+        }
+        self.resume_on::<ANY, simd::Any, O>(order, from, ray, candidates, observer, best, room)
+    }
+
+    /// `resume_on`, compiled for processors with AVX2 and fused multiply-add.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    #[allow(clippy::too_many_arguments)]
+    fn resume_fused<const ANY: bool, O: Observer>(
+        &self,
+        order: &ByRule,
+        from: Link,
+        ray: &PreparedRay,
+        candidates: &impl Candidates,
+        observer: &mut O,
+        best: Best,
+        room: &mut Room,
+    ) -> Best {
+        self.resume_on::<ANY, simd::Avx2, O>(order, from, ray, candidates, observer, best, room)
+    }
+
+    #[inline(always)]
+    #[allow(clippy::too_many_arguments)]
+    fn resume_on<const ANY: bool, M: Machine, O: Observer>(
+        &self,
+        order: &ByRule,
+        from: Link,
+        ray: &PreparedRay,
+        candidates: &impl Candidates,
+        observer: &mut O,
+        best: Best,
+        room: &mut Room,
+    ) -> Best {
+        let (blocks, stack) = (&self.blocks, room.stack(self.stack_size));
+        macro_rules! run {
+            ($order:expr) => {
+                with_form!(self, form => odf::run::<ANY, M, _>(
+                    form, from, $order, blocks, ray, candidates, observer, best, stack,
+                ))
+            };
+        }
+        // The nearest first has a shortcut.
+        if ANY && !order.is_nearest() { run!(order) } else { run!(&NearestFirst) }
     }
 }

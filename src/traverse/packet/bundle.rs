@@ -6,10 +6,11 @@
 use super::super::Hit;
 use super::super::form::Faces;
 use super::super::leaf::Best;
-#[cfg(doc)]
 use super::super::ray::PreparedRay;
 use super::super::ray::{INVERTIBLE, PADDING};
-use super::super::simd::{Eight, LaneMask};
+use super::super::simd::{Eight, Halves, LaneMask};
+use super::descend::next;
+use super::frustum::Frustum;
 use crate::format::rays::NO_TRIANGLE;
 use crate::geometry::{Ray, Triangle, Vec3};
 
@@ -97,7 +98,14 @@ impl Octet {
         }
         self.tnear[lane] = other.tnear[from];
         self.tfar[lane] = other.tfar[from];
-        (self.end[lane], self.bound[lane]) = (other.tfar[from], other.tfar[from]);
+        self.answer_as(lane, other, from);
+    }
+
+    /// Takes what is known of an answer from a lane of another octet.
+    #[inline(always)]
+    fn answer_as(&mut self, lane: usize, other: &Octet, from: usize) {
+        (self.end[lane], self.bound[lane]) = (other.end[from], other.bound[from]);
+        (self.t[lane], self.triangle[lane]) = (other.t[from], other.triangle[from]);
     }
 
     /// Which rays enter a box no later than at their ends, and where.
@@ -155,6 +163,21 @@ impl Octet {
         let t = t.max_or(entry);
         let finite = t.le(V::splat(f32::MAX)).and(V::splat(f32::MIN).le(t));
         (entry.le(exit).and(finite).bits(), t.min_or(V::load(&self.tfar)))
+    }
+
+    /// A ray on its own.
+    #[inline(always)]
+    pub fn ray(&self, lane: usize, near_face: &[usize; 3]) -> PreparedRay {
+        let vector = |rows: &[[f32; LANES]; 3]| Vec3::new(rows[0][lane], rows[1][lane], rows[2][lane]);
+        PreparedRay {
+            origin: vector(&self.origin),
+            direction: vector(&self.direction),
+            tnear: self.tnear[lane],
+            tfar: self.tfar[lane],
+            near_inverse: vector(&self.near_inverse),
+            far_inverse: vector(&self.far_inverse),
+            downwards: *near_face,
+        }
     }
 
     /// What is known of a ray's answer.
@@ -230,17 +253,17 @@ impl Ways {
     }
 }
 
-/// The rays of a packet, those in use all with the same near faces.
+/// Rays that run the same way along each axis.
 #[derive(Debug)]
 pub(super) struct Bundle {
     pub octets: Vec<Octet>,
     /// Number of the query of each lane.
     pub queries: Vec<u32>,
+    /// Where each lane's ray was before it was regrouped, lane by lane.
+    pub places: Vec<u32>,
     pub near_face: [usize; 3],
-    /// All rays as they came, and which way they run.
-    prepared: Vec<Octet>,
-    ways: Vec<Ways>,
-    count: usize,
+    /// Of all rays; without use when [`Self::bound`] found them to be few.
+    pub frustum: Frustum,
 }
 
 impl Default for Bundle {
@@ -248,7 +271,94 @@ impl Default for Bundle {
         Bundle {
             octets: vec![Octet::EMPTY; OCTETS],
             queries: Vec::with_capacity(OCTETS * LANES),
+            places: Vec::new(),
             near_face: [0; 3],
+            frustum: Frustum::new::<Halves>(&[]),
+        }
+    }
+}
+
+impl Bundle {
+    #[inline(always)]
+    pub fn clear(&mut self, near_face: [usize; 3]) {
+        self.queries.clear();
+        self.places.clear();
+        self.near_face = near_face;
+    }
+
+    /// Takes a ray from a lane of an octet, with its query's number.
+    #[inline(always)]
+    pub fn push(&mut self, from: &Octet, lane: usize, query: u32) {
+        let place = self.queries.len();
+        let octet = &mut self.octets[place / LANES];
+        if place.is_multiple_of(LANES) {
+            *octet = Octet::EMPTY;
+        }
+        octet.copy(place % LANES, from, lane);
+        self.queries.push(query);
+    }
+
+    /// Computes the frustum of so many octets or more.
+    #[inline(always)]
+    pub fn bound<V: Eight>(&mut self, least: u32) {
+        let count = self.queries.len().div_ceil(LANES);
+        if count >= least as usize {
+            self.frustum = Frustum::new::<V>(&self.octets[..count]);
+        }
+    }
+
+    /// All octets in use, as bits.
+    #[inline(always)]
+    pub fn all(&self) -> u32 {
+        u32::MAX >> (OCTETS - self.queries.len().div_ceil(LANES))
+    }
+
+    /// The queries of an octet's rays.
+    #[inline(always)]
+    pub fn queries_of(&self, octet: usize) -> &[u32] {
+        &self.queries[octet * LANES..self.queries.len().min((octet + 1) * LANES)]
+    }
+
+    /// Where the last of the rays of `octets` ends.
+    #[inline(always)]
+    pub fn end<V: Eight>(&self, mut octets: u32) -> f32 {
+        let mut end = V::splat(f32::INFINITY);
+        let minus = V::splat(-0.0);
+        while octets != 0 {
+            let octet = next::<OCTETS>(&mut octets);
+            end = V::load(&self.octets[octet].end).flip(minus).min_or(end);
+        }
+        -end.least()
+    }
+
+    /// Hands out the answers.
+    #[inline(always)]
+    pub fn answer(&self, answers: &mut [Option<Hit>]) {
+        for (queries, octet) in self.queries.chunks(LANES).zip(&self.octets) {
+            for (lane, &query) in queries.iter().enumerate() {
+                answers[query as usize] = octet.answer(lane);
+            }
+        }
+    }
+}
+
+/// The rays of a packet, and those of them that were regrouped, again and again.
+#[derive(Debug)]
+pub(super) struct Bundles {
+    bundles: Vec<Bundle>,
+    /// The one whose rays are followed now.
+    current: usize,
+    /// All rays as they came, and which way they run.
+    prepared: Vec<Octet>,
+    ways: Vec<Ways>,
+    count: usize,
+}
+
+impl Default for Bundles {
+    fn default() -> Bundles {
+        Bundles {
+            bundles: vec![Bundle::default()],
+            current: 0,
             prepared: vec![Octet::EMPTY; OCTETS],
             ways: Vec::with_capacity(OCTETS),
             count: 0,
@@ -259,7 +369,7 @@ impl Default for Bundle {
 /// A ray that cannot hit anything.
 const DEAD: [f32; 8] = [0.0, 0.0, 0.0, f32::INFINITY, 0.0, 0.0, 0.0, f32::NEG_INFINITY];
 
-impl Bundle {
+impl Bundles {
     /// Makes rays ready. Returns the set of ways that they run: bit i for way i, see [`Ways::of`].
     #[inline(always)]
     pub fn prepare<V: Eight>(&mut self, rays: &[Ray]) -> u32 {
@@ -277,70 +387,52 @@ impl Bundle {
         (0..8).filter(|&way| self.ways.iter().any(|octet| octet.of(way) != 0)).map(|way| 1 << way).sum()
     }
 
-    /// Takes the rays that run this way; `only`: all that can hit anything do.
+    /// Begins with the rays that run this way; `only`: all that can hit anything do.
     #[inline(always)]
     pub fn take(&mut self, way: usize, only: bool) {
-        self.near_face = [way & 1, way >> 1 & 1, way >> 2];
-        self.queries.clear();
+        self.current = 0;
+        let first = &mut self.bundles[0];
+        first.clear([way & 1, way >> 1 & 1, way >> 2]);
         if only {
-            std::mem::swap(&mut self.octets, &mut self.prepared);
-            self.queries.extend(0..self.count as u32);
+            std::mem::swap(&mut first.octets, &mut self.prepared);
+            first.queries.extend(0..self.count as u32);
             return;
         }
         for (number, (ways, from)) in self.ways.iter().zip(&self.prepared).enumerate() {
             let mut lanes = ways.of(way);
             while lanes != 0 {
-                let lane = lanes.trailing_zeros() as usize % LANES;
-                lanes &= lanes - 1;
-                let place = self.queries.len();
-                if place.is_multiple_of(LANES) {
-                    self.octets[place / LANES] = Octet::EMPTY;
-                }
-                self.octets[place / LANES].copy(place % LANES, from, lane);
-                self.queries.push((number * LANES + lane) as u32);
+                let lane = next::<LANES>(&mut lanes);
+                first.push(from, lane, (number * LANES + lane) as u32);
             }
         }
     }
 
-    /// All octets in use, as bits.
+    /// The rays that are followed now.
     #[inline(always)]
-    pub fn all(&self) -> u32 {
-        u32::MAX >> (OCTETS - self.queries.len().div_ceil(LANES))
+    pub fn current(&mut self) -> &mut Bundle {
+        &mut self.bundles[self.current]
     }
 
+    /// The rays that were followed up to now, and room for those that are from now on.
     #[inline(always)]
-    pub fn in_use(&self) -> &[Octet] {
-        &self.octets[..self.queries.len().div_ceil(LANES)]
-    }
-
-    /// The queries of an octet's rays.
-    #[inline(always)]
-    pub fn queries_of(&self, octet: usize) -> &[u32] {
-        &self.queries[octet * LANES..self.queries.len().min((octet + 1) * LANES)]
-    }
-
-    /// Where the last of the rays of `octets` ends.
-    #[inline(always)]
-    pub fn end<V: Eight>(&self, mut octets: u32) -> f32 {
-        let mut end = V::splat(f32::INFINITY);
-        let minus = V::splat(-0.0);
-        while octets != 0 {
-            let octet = octets.trailing_zeros() as usize % OCTETS;
-            octets &= octets - 1;
-            end = V::load(&self.octets[octet].end).flip(minus).min_or(end);
+    pub fn next(&mut self) -> (&Bundle, &mut Bundle) {
+        self.current += 1;
+        if self.bundles.len() == self.current {
+            self.bundles.push(Bundle::default());
         }
-        -end.least()
+        let (before, after) = self.bundles.split_at_mut(self.current);
+        (&before[self.current - 1], &mut after[0])
     }
 
-    /// Hands out the answers of the rays in use.
+    /// Goes back to the rays before they were regrouped, with what was found since.
     #[inline(always)]
-    pub fn answer(&self, answers: &mut [Option<Hit>]) {
-        for (queries, octet) in self.queries.chunks(LANES).zip(&self.octets) {
-            for (lane, &query) in queries.iter().enumerate() {
-                if let Some(answer) = answers.get_mut(query as usize) {
-                    *answer = octet.answer(lane);
-                }
-            }
+    pub fn put_back(&mut self) {
+        let (before, after) = self.bundles.split_at_mut(self.current);
+        self.current -= 1;
+        let (to, from) = (&mut before[self.current], &after[0]);
+        for (number, &place) in from.places.iter().enumerate() {
+            let place = place as usize;
+            to.octets[place / LANES].answer_as(place % LANES, &from.octets[number / LANES], number % LANES);
         }
     }
 }

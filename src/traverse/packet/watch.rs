@@ -5,12 +5,14 @@ use super::super::observer::Counts;
 /// How it was decided whether a packet enters a box.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Rule {
-    /// The first octet that is still active enters it: all follow, untested.
+    /// The first and the last active octet enter it: all follow, untested.
     EarlyHit,
     /// Interval arithmetic says that no ray enters it.
     EarlyMiss,
-    /// All active octets were tested.
+    /// Neither rule could tell, and all active octets were tested.
     Rays,
+    /// So few octets are active that they were tested at once.
+    Few,
 }
 
 /// Told of each step of a packet; queries are named by their number in it. `()` ignores all of it, and nothing is computed for it.
@@ -33,6 +35,10 @@ pub trait PacketObserver {
     /// A ray that enters a leaf is tested against a triangle of it.
     #[inline(always)]
     fn primitive(&mut self, _query: u32) {}
+
+    /// A ray went on alone, at this cost.
+    #[inline(always)]
+    fn alone(&mut self, _query: u32, _counts: &Counts) {}
 }
 
 impl PacketObserver for () {
@@ -45,6 +51,8 @@ pub struct Decisions {
     pub early_hits: u64,
     pub early_misses: u64,
     pub by_rays: u64,
+    /// Without asking for a rule: few octets were active.
+    pub few: u64,
     /// Octets tested against a box, for any of these, and against the boxes of leaves.
     pub octets: u64,
 }
@@ -61,6 +69,7 @@ impl PacketObserver for PacketCounts<'_> {
             Rule::EarlyHit => self.decisions.early_hits += 1,
             Rule::EarlyMiss => self.decisions.early_misses += 1,
             Rule::Rays => self.decisions.by_rays += 1,
+            Rule::Few => self.decisions.few += 1,
         }
     }
 
@@ -75,5 +84,26 @@ impl PacketObserver for PacketCounts<'_> {
 
     fn primitive(&mut self, query: u32) {
         self.queries[query as usize].primitive_tests += 1;
+    }
+
+    fn alone(&mut self, query: u32, counts: &Counts) {
+        self.queries[query as usize] += *counts;
+    }
+}
+
+impl Decisions {
+    /// Boxes for which it was decided whether a packet enters them.
+    pub fn total(&self) -> u64 {
+        self.early_hits + self.early_misses + self.by_rays + self.few
+    }
+}
+
+impl std::ops::AddAssign for Decisions {
+    fn add_assign(&mut self, other: Decisions) {
+        self.early_hits += other.early_hits;
+        self.early_misses += other.early_misses;
+        self.by_rays += other.by_rays;
+        self.few += other.few;
+        self.octets += other.octets;
     }
 }
