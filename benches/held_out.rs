@@ -152,6 +152,8 @@ impl Contest<'_> {
             choice: held_out(Filter::default()),
             overlap: false,
             costs: Costs { c_i: 1.0, c_p: 1.0 },
+            sort: None,
+            packet: None,
             profile: None,
             image: None,
         };

@@ -4,8 +4,8 @@
 //!
 //! Not criterion: it measures one contender after the other, and a shared machine drifts meanwhile. Here every round
 //! runs each contender on the same queries, first untimed to warm it up; the tables show medians over rounds, in million queries per processor
-//! second of one thread, and how many answers are those of the recording. The last table has what the targets ask for:
-//! ratios of ours to the fastest of others, by scene, and their medians.
+//! second of one thread, and how many answers are those of the recording. The last tables have what the targets ask for:
+//! ratios of ours to the fastest of others, and of packets to single rays, by scene, and their medians.
 
 mod casters;
 #[allow(dead_code, reason = "of some crates only the traversal takes part here, and of some only the tree")]
@@ -22,7 +22,10 @@ use embree_trace::optimize::{Stage, reinsertion};
 use embree_trace::progress::Progress;
 use embree_trace::random::Random;
 use embree_trace::recipe::{Heuristic, Recipe};
-use embree_trace::traverse::{All, Counts, OcclusionOrder, Prepared, PreparedRay, Scratch, Traversal};
+use embree_trace::traverse::packet::MOST;
+use embree_trace::traverse::{
+    All, Counts, Hit, OcclusionOrder, PacketScratch, Prepared, PreparedRay, Scratch, Traversal,
+};
 use embree_trace::tree::{Tree, collapse, likely};
 use obvhs::BvhBuildParams;
 use peers::Peer;
@@ -31,7 +34,7 @@ use peers::tinybvh_crate::TinyBvh;
 use std::path::Path;
 
 const ROUNDS: usize = 5;
-/// Queries of each purpose, spread over the recording.
+/// Queries of each purpose, spread over the recording in stretches of [`MOST`], as packets want neighbours.
 const QUERIES: usize = 100_000;
 /// Least seconds of one contender in a round: the clock of a thread is coarse, and caches have to be filled first.
 const LEAST: f64 = 0.15;
@@ -74,6 +77,8 @@ enum Side {
     /// Our binary tree, in any order of occlusion queries that needs no rays: the target is the fastest `BinaryPeer`.
     Binary,
     BinaryCounting,
+    /// Packets over our binary tree: the target is `Binary`.
+    Packets,
     /// Our tree of eight: the target is `Embree`.
     Eight,
     BinaryPeer,
@@ -108,8 +113,15 @@ impl Trees {
     }
 }
 
-/// Ratios of ours to the fastest of the others, by purpose: binary, counting, eight.
-type Ratios = [[f64; 3]; 3];
+/// Ratios by purpose, see [`TITLES`].
+type Ratios = [[f64; TITLES.len()]; 3];
+
+const TITLES: [&str; 4] = [
+    "binary / fastest binary crate",
+    "the same, counting",
+    "8 wide / fastest Embree (medium, high)",
+    "packets of 256 / single rays, binary",
+];
 
 fn compare(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
     let prepared = |tree: &Tree| Prepared::new(tree.view(), triangles, &[]);
@@ -140,6 +152,10 @@ fn compare(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
             Side::Binary,
             runner(Ours::<()>::in_order(&binary, OcclusionOrder::First)),
         ),
+        ("ours ODF, packets of 16", Side::Other, packets(&binary, odf, 16)),
+        ("ours ODF, packets of 64", Side::Other, packets(&binary, odf, 64)),
+        ("ours ODF, packets of 256", Side::Packets, packets(&binary, odf, MOST)),
+        ("ours RayOrder, packets of 256", Side::Other, packets(&binary, ray_order, MOST)),
         ("ours RayOrder", Side::Other, runner(Ours::<()>::new(&binary, ray_order))),
         ("ours ODF, obvhs medium tree", Side::Other, runner(Ours::<()>::new(&on_medium, odf))),
         ("ours ODF, obvhs slow tree", Side::Other, runner(Ours::<()>::new(&on_slow, odf))),
@@ -159,6 +175,7 @@ fn compare(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
         ("parry3d", Side::BinaryPeer, runner(ParryCaster::new(triangles))),
         ("bvh", Side::BinaryPeer, runner(BvhCrateCaster::new(triangles))),
         ("ours ODF, 4 wide", Side::Other, runner(Ours::<()>::new(&four, odf))),
+        ("ours ODF, 8 wide, packets of 256", Side::Other, packets(&eight, odf, MOST)),
         ("ours ODF, 8 wide", Side::Eight, runner(Ours::<()>::new(&eight, odf))),
         (
             "ours ODF, 8 wide, outside",
@@ -175,10 +192,10 @@ fn compare(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
             .filter(|r| Purpose::from_byte(r.purpose) == purpose && r.flags & flag::HAS_REJECTS == 0)
             .copied()
             .collect();
-        let queries: Vec<Record> =
-            chosen.iter().step_by(chosen.len().div_ceil(QUERIES).max(1)).copied().collect();
+        let every = chosen.len().div_ceil(QUERIES).max(1);
+        let queries = chosen.chunks(MOST).step_by(every).flatten().copied().collect::<Vec<Record>>();
         if queries.is_empty() {
-            return [f64::NAN; 3];
+            return [f64::NAN; TITLES.len()];
         }
         println!("\n{name}, {} triangles, {}: {} queries", triangles.len(), purpose.name(), queries.len());
         let rates = measured(&mut contenders, &queries);
@@ -196,7 +213,13 @@ fn compare(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
                 .map_or(f64::NAN, |(_, rate)| *rate),
         };
         let peer = best(Side::BinaryPeer);
-        [ours(Side::Binary) / peer, ours(Side::BinaryCounting) / peer, ours(Side::Eight) / best(Side::Embree)]
+        let alone = rates[0];
+        [
+            ours(Side::Binary) / peer,
+            ours(Side::BinaryCounting) / peer,
+            ours(Side::Eight) / best(Side::Embree),
+            best(Side::Packets) / alone,
+        ]
     })
 }
 
@@ -238,9 +261,7 @@ fn measured(contenders: &mut [(&str, Side, Runner)], queries: &[Record]) -> Vec<
 }
 
 fn print_ratios(scenes: &[(String, Ratios)]) {
-    let titles =
-        ["binary / fastest binary crate", "the same, counting", "8 wide / fastest Embree (medium, high)"];
-    for (place, title) in titles.iter().enumerate() {
+    for (place, title) in TITLES.iter().enumerate() {
         println!("\n{title:<40}{}", PURPOSES.map(|purpose| format!("{:>10}", purpose.name())).concat());
         for (name, ratios) in scenes {
             println!("{name:<40}{}", ratios.map(|ratios| format!("{:>10.2}", ratios[place])).concat());
@@ -265,13 +286,40 @@ fn runner<'a>(mut caster: impl Caster + 'a) -> Runner<'a> {
             right += if record.is_occlusion() {
                 caster.occluded(record) == record.is_hit()
             } else {
-                let t = caster.closest(record);
-                if record.is_hit() {
-                    (t - record.t).abs() <= 1e-3 * record.t
-                } else {
-                    t.is_nan() || t >= record.tfar
-                }
+                agrees(record, caster.closest(record))
             } as usize;
+        }
+        right
+    })
+}
+
+/// Whether a closest hit at `t` is the recorded one.
+fn agrees(record: &Record, t: f32) -> bool {
+    if record.is_hit() { (t - record.t).abs() <= 1e-3 * record.t } else { t.is_nan() || t >= record.tfar }
+}
+
+/// Our traversal, in packets of consecutive queries.
+fn packets(prepared: &Prepared, traversal: Traversal, size: usize) -> Runner<'_> {
+    let mut scratch = PacketScratch::default();
+    let (mut rays, mut answers) = (Vec::with_capacity(size), vec![None; size]);
+    Box::new(move |records| {
+        let mut right = 0;
+        for records in records.chunks(size) {
+            rays.clear();
+            rays.extend(records.iter().map(Record::ray));
+            let (candidates, answers) = (&[All; MOST][..records.len()], &mut answers[..records.len()]);
+            // Those of one purpose are of one kind.
+            if records[0].is_occlusion() {
+                let order = &OcclusionOrder::Nearest;
+                prepared.occluders(traversal, order, &rays, candidates, &mut (), &mut scratch, answers);
+                let pairs = records.iter().zip(answers);
+                right += pairs.filter(|(record, answer)| answer.is_some() == record.is_hit()).count();
+            } else {
+                prepared.closest_hits(traversal, &rays, candidates, &mut (), &mut scratch, answers);
+                let t = |answer: &Option<Hit>| answer.map_or(f32::INFINITY, |hit| hit.t);
+                right +=
+                    records.iter().zip(answers).filter(|(record, answer)| agrees(record, t(answer))).count();
+            }
         }
         right
     })

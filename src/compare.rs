@@ -16,6 +16,7 @@ use crate::replay::check::Judge;
 use crate::replay::pixels::ImageSize;
 use crate::replay::profile::Levels;
 use crate::replay::query::Choice;
+use crate::replay::sort::Sort;
 use crate::replay::tally::{Costs, Tally};
 use crate::replay::{self, Outcome};
 use crate::traverse::{Masks, OcclusionOrder, OrderError, OrderName, Prepared, Traversal};
@@ -50,7 +51,11 @@ pub struct Settings {
     pub choice: Choice,
     /// Whether to sum costs per pixel, of recordings whose image's size is known.
     pub pixels: bool,
-    /// Whether to count tests by level of the tree, and cache lines: every query is followed once more.
+    /// Queries of a chunk and of one kind, depth and purpose are sorted before they are asked.
+    pub sort: Option<Sort>,
+    /// They are asked in packets of so many queries, not one by one.
+    pub packet: Option<usize>,
+    /// Whether to count tests by level of the tree, and cache lines: every query is followed once more, alone. Not for packets.
     pub profile: bool,
     /// Rounds of timing, after all that; `None` when times are not wanted.
     pub rounds: Option<u32>,
@@ -222,7 +227,7 @@ pub fn compare(
             masks: Masks::new(bvh.geometries),
             flattened: bvh.header.flags & flag::FLATTENED != 0,
         };
-        let levels = settings.profile.then(|| Levels::of(bvh.tree));
+        let levels = (settings.profile && settings.packet.is_none()).then(|| Levels::of(bvh.tree));
         for (recording, result) in recordings.iter().zip(&mut results) {
             let mut runs = Vec::with_capacity(settings.traversals.len());
             for (index, &traversal) in settings.traversals.iter().enumerate() {
@@ -232,6 +237,8 @@ pub fn compare(
                     choice: settings.choice.clone(),
                     overlap: index == overlap_run,
                     costs: settings.costs,
+                    sort: settings.sort,
+                    packet: settings.packet,
                     profile: levels.as_ref(),
                     image: recording.image.filter(|_| settings.pixels),
                 };

@@ -1,21 +1,25 @@
 //! A recording over a tree: every query again, what it costs, and whether the answer is the recorded one.
 //!
 //! Chunks are read a few at a time and cut into pieces of `PIECE` queries, which threads share. Within a piece the queries of one kind, depth
-//! and purpose run together, so that each group is timed without a clock in the loop. Memory does not grow with
-//! the file: a few chunks per thread, tallies, one image when pixels are wanted.
+//! and purpose run together, so that each group is timed without a clock in the loop; where they are sorted or go in packets, a piece is a
+//! whole chunk. Memory does not grow with the file: a few chunks per thread, tallies, one image when pixels are wanted.
 
 pub mod check;
 pub mod pixels;
 pub mod profile;
 pub mod query;
 pub mod select;
+pub mod sort;
 pub mod tally;
+pub mod together;
 
 use crate::format::FormatError;
 use crate::format::rays::{Chunk, NO_PATH, Rays, Record};
 use crate::progress::Progress;
+use crate::traverse::packet::MOST;
 use crate::traverse::{
-    Counts, Hit, Observer, OcclusionOrder, Overlap, Prepared, PreparedRay, Scratch, Traversal,
+    Counts, Decisions, Hit, Observer, OcclusionOrder, Overlap, PacketCounts, Prepared, PreparedRay, Scratch,
+    Traversal,
 };
 use check::{Judge, Verdict};
 use pixels::{ImageSize, Pixels};
@@ -23,9 +27,11 @@ use profile::{Levels, Profile, Profiler};
 use query::{Choice, Query};
 use rayon::prelude::*;
 use select::Sample;
+use sort::Sort;
 use std::ops::Range;
 use std::time::Instant;
 use tally::{Costs, GAMMA_UNITS, Replayed, Tallies};
+use together::Together;
 
 /// Queries that one thread replays at a time.
 const PIECE: usize = 2048;
@@ -37,11 +43,15 @@ pub struct Options<'a> {
     /// In which order depth-first occlusion queries visit children; that of the tree which is replayed.
     pub occlusion_order: OcclusionOrder,
     pub choice: Choice,
-    /// Also count P_R, for T_R and Γ_R, and hold RayOrder to it.
+    /// Also count P_R, for T_R and Γ_R, and hold RayOrder to it where queries go alone.
     pub overlap: bool,
     /// Weights of each query's Γ.
     pub costs: Costs,
-    /// Also count tests by level and cache lines, in a second pass over each query.
+    /// Queries of a chunk and of one kind, depth and purpose are sorted before they are asked.
+    pub sort: Option<Sort>,
+    /// They are asked in packets of so many, [`MOST`] at most, not one by one.
+    pub packet: Option<usize>,
+    /// Also count tests by level and cache lines, in a second pass over each query, in which it goes alone.
     pub profile: Option<&'a Levels>,
     /// Also sum costs by pixel.
     pub image: Option<ImageSize>,
@@ -131,8 +141,10 @@ pub fn replay(
         let chunks: Vec<Chunk> = wave.par_iter().map(|&index| rays.chunk(index)).collect::<Result<_, _>>()?;
         let mut pieces = Vec::new();
         for chunk in &chunks {
-            for first in (0..chunk.records.len()).step_by(PIECE) {
-                let range = first..chunk.records.len().min(first + PIECE);
+            let whole = options.sort.is_some() || options.packet.is_some();
+            let size = if whole { chunk.records.len().max(1) } else { PIECE };
+            for first in (0..chunk.records.len()).step_by(size) {
+                let range = first..chunk.records.len().min(first + size);
                 pieces.push((chunk, start, range));
             }
             start += chunk.records.len() as u64;
@@ -164,22 +176,59 @@ impl Job<'_> {
     fn piece(&self, chunk: &Chunk, start: u64, range: Range<usize>, sum: &mut Sum, room: &mut Room) {
         let mut queries = self.options.choice.within(chunk, start, range, self.sample);
         queries.sort_by_key(|query| tally::cell(query.record));
-        let mut answers = vec![(None, Counts::default()); queries.len()];
+        let (mut hits, mut counts) = (vec![None; queries.len()], vec![Counts::default(); queries.len()]);
         let mut replayed = Vec::with_capacity(queries.len());
-        for group in queries.chunk_by(|a, b| tally::cell(a.record) == tally::cell(b.record)) {
-            let answers = &mut answers[..group.len()];
-            let started = Instant::now();
-            for (query, answer) in group.iter().zip(&mut *answers) {
-                let mut counts = Counts::default();
-                *answer = (self.ask(query, &mut counts, &mut room.scratch), counts);
+        let mut together = Together::default();
+        for group in queries.chunk_by_mut(|a, b| tally::cell(a.record) == tally::cell(b.record)) {
+            if let Some(sort) = self.options.sort {
+                sort.apply(group, |query| query.ray);
             }
+            let (hits, counts) = (&mut hits[..group.len()], &mut counts[..group.len()]);
+            counts.fill(Counts::default());
+            let started = Instant::now();
+            let packets = match self.options.packet {
+                Some(size) => self.ask_together(group, size, hits, counts, &mut together),
+                None => {
+                    for ((query, hit), counts) in group.iter().zip(&mut *hits).zip(&mut *counts) {
+                        *hit = self.ask(query, counts, &mut room.scratch);
+                    }
+                    Decisions::default()
+                }
+            };
             let seconds = started.elapsed().as_secs_f64();
             replayed.clear();
+            let answers = hits.iter().zip(&*counts);
             replayed.extend(
-                group.iter().zip(&*answers).map(|(query, answer)| self.assess(query, *answer, sum, room)),
+                group
+                    .iter()
+                    .zip(answers)
+                    .map(|(query, (hit, counts))| self.assess(query, (*hit, *counts), sum, room)),
             );
-            sum.tallies.add(tally::cell(group[0].record), &replayed, seconds);
+            sum.tallies.add(tally::cell(group[0].record), &replayed, &packets, seconds);
         }
+    }
+
+    /// Asks a group in packets of `size`.
+    fn ask_together<'q>(
+        &self,
+        group: &[Query<'q>],
+        size: usize,
+        hits: &mut [Option<Hit>],
+        counts: &mut [Counts],
+        together: &mut Together<'q>,
+    ) -> Decisions {
+        let Options { traversal, occlusion_order, .. } = self.options;
+        let mut decisions = Decisions::default();
+        let answers = &mut [None; MOST];
+        for ((queries, hits), counts) in
+            group.chunks(size).zip(hits.chunks_mut(size)).zip(counts.chunks_mut(size))
+        {
+            let observer = &mut PacketCounts { queries: counts, decisions: &mut decisions };
+            let queries = queries.iter().copied();
+            let found = together.ask(queries, self.prepared, *traversal, occlusion_order, observer, answers);
+            hits.copy_from_slice(found);
+        }
+        decisions
     }
 
     #[inline]
@@ -205,7 +254,9 @@ impl Job<'_> {
             let occlusion = query.record.is_occlusion();
             let end = if occlusion { query.ray.tfar } else { hit.map_or(query.ray.tfar, |hit| hit.t) };
             self.prepared.overlap(&PreparedRay::new(&query.ray), end, &mut overlap, scratch);
-            let held = self.options.traversal == Traversal::RayOrder && !(occlusion && hit.is_some());
+            let alone = self.options.packet.is_none();
+            let held =
+                alone && self.options.traversal == Traversal::RayOrder && !(occlusion && hit.is_some());
             if held && counts.box_tests != 1 + overlap.children {
                 sum.violation = Some(sum.violation.map_or(query.number, |first| first.min(query.number)));
             }

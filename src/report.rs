@@ -6,6 +6,7 @@ pub mod heatmap;
 pub mod html;
 pub mod json;
 mod json_time;
+mod packets;
 pub mod plot;
 pub mod table;
 mod time;

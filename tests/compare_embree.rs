@@ -78,6 +78,8 @@ fn confirm(name: &str, mesh: &Mesh, options: &[&str], borderline: u64) {
         choice: Choice { scene: 0, filter: Filter::default(), held_out: None, sample: None },
         occlusion_order: None,
         pixels: false,
+        sort: None,
+        packet: None,
         profile: false,
         rounds: None,
         fit: false,

@@ -167,8 +167,8 @@ fn rules_decide_and_spare_tests() {
         prepared.closest_hit(Traversal::Odf, &PreparedRay::new(ray), &All, &mut single, scratch);
     }
     let found = ask(&prepared, Traversal::Odf, None, &rays, &candidates, MOST);
-    let Decisions { early_hits, early_misses, by_rays, octets } = found.decisions;
-    assert!(early_hits > 0 && early_misses > 0 && by_rays > 0, "{:?}", found.decisions);
+    let Decisions { early_hits, early_misses, by_rays, few, octets } = found.decisions;
+    assert!(early_hits.min(early_misses).min(by_rays).min(few) > 0, "{:?}", found.decisions);
     let mut sum = Counts::default();
     found.counts.iter().for_each(|counts| sum += *counts);
     assert!(sum.box_tests <= 8 * octets, "an octet is eight tests at most");

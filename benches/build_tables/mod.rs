@@ -40,6 +40,8 @@ impl Found {
             choice: Choice { scene: 0, filter: Filter::default(), held_out: None, sample: Some(QUERIES) },
             overlap: false,
             costs: COSTS,
+            sort: None,
+            packet: None,
             profile: None,
             image: None,
         };

@@ -11,9 +11,11 @@ use embree_trace::progress::Progress;
 use embree_trace::replay::pixels::ImageSize;
 use embree_trace::replay::query::Choice;
 use embree_trace::replay::select::{Filter, Portion};
+use embree_trace::replay::sort::Sort;
 use embree_trace::replay::tally::Costs;
 use embree_trace::report::circumstances::Circumstances;
 use embree_trace::report::{csv, heatmap, html, json, table};
+use embree_trace::traverse::packet::MOST;
 use embree_trace::traverse::{OrderName, Traversal};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -30,6 +32,7 @@ Examples:
   bvh-compare built.bvh ours.bvh casts.rays other-camera.rays
   bvh-compare ours.bvh casts.rays --filter kind=occlusion --traversal odf --occlusion-order nearest
   bvh-compare built.bvh ours.bvh casts.rays --heatmap pictures --size 640x480
+  bvh-compare built.bvh ours.bvh casts.rays --packet 64 --sort direction --time
   bvh-compare built.bvh ours.bvh casts.rays --html report.html
   bvh-compare built.bvh ours.bvh casts.rays --fit --rounds 9
 
@@ -54,6 +57,14 @@ struct Arguments {
     /// says where it has one, else nearest
     #[arg(long, value_enum, value_name = "ORDER")]
     occlusion_order: Option<OrderName>,
+
+    /// Ask queries in packets of N consecutive ones of a chunk and of one kind, depth and purpose, 16 to 256, not one by one
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(16..=MOST as i64))]
+    packet: Option<u16>,
+
+    /// Sort the queries of a chunk and of one kind, depth and purpose before they are asked: by octant of direction, then by
+    #[arg(long, value_enum, value_name = "KEY")]
+    sort: Option<Sort>,
 
     /// What a box test costs
     #[arg(long, default_value_t = 1.0, value_parser = cost)]
@@ -94,7 +105,7 @@ struct Arguments {
     #[arg(long, default_value_t = 0)]
     threads: usize,
 
-    /// Also count tests by level of the tree, and cache lines; every query is followed once more for it
+    /// Also count tests by level of the tree, and cache lines; every query is followed once more for it. Not for packets
     #[arg(long)]
     details: bool,
 
@@ -212,6 +223,8 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
             sample: arguments.sample,
         },
         pixels: arguments.heatmap.is_some() || arguments.html.is_some(),
+        sort: arguments.sort,
+        packet: arguments.packet.map(usize::from),
         profile: arguments.details || arguments.html.is_some(),
         rounds: (arguments.time || arguments.fit).then_some(arguments.rounds),
         fit: arguments.fit,

@@ -11,10 +11,13 @@ mod embree;
 use super::fit::Observation;
 use super::{Candidate, CompareError, Recording, Settings};
 use crate::format::FormatError;
-use crate::format::rays::{Purpose, Rays, Record, Reject};
+use crate::format::rays::{MAX_CHUNK_RECORDS, Purpose, Rays, Record, Reject};
 use crate::geometry::Ray;
 use crate::replay::query::{Choice, Query};
+use crate::replay::sort::Sort;
 use crate::replay::tally::{Cell, cell};
+use crate::replay::together::Together;
+use crate::traverse::packet::MOST;
 use crate::traverse::{Counts, OcclusionOrder, Prepared, Recorded, Scratch, Traversal};
 use std::collections::BTreeMap;
 use std::hint::black_box;
@@ -24,6 +27,8 @@ use std::ops::Range;
 pub const MOST_QUERIES: u64 = 1 << 20;
 /// Queries that are sorted into runs at a time.
 const BLOCK: usize = 8192;
+/// The same where they go in packets or in an order of their own, as many as a chunk may hold: as they are replayed.
+const LONG_BLOCK: usize = MAX_CHUNK_RECORDS;
 /// Parts of a recording whose queries of one cell are a group for [`super::fit`]: large enough that the clock's noise averages out.
 const PARTS: usize = 16;
 
@@ -68,6 +73,29 @@ pub struct EmbreeTime {
     pub version: u32,
 }
 
+/// How queries are asked, other than one by one in the order of the recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Way {
+    /// In packets of so many.
+    pub packet: Option<usize>,
+    /// In the order of [`Settings::sort`].
+    pub sorted: bool,
+}
+
+impl Way {
+    const PLAIN: Way = Way { packet: None, sorted: false };
+
+    /// All that `settings` ask for but the plain one.
+    fn all(settings: &Settings) -> Vec<Way> {
+        let packets = settings.packet.map(Some);
+        let orders = if settings.sort.is_some() { &[false, true][..] } else { &[false] };
+        let ways = orders.iter().flat_map(|&sorted| {
+            std::iter::once(None).chain(packets).map(move |packet| Way { packet, sorted })
+        });
+        ways.filter(|way| *way != Way::PLAIN).collect()
+    }
+}
+
 /// What was measured over one recording.
 #[derive(Clone, Debug)]
 pub struct Timing {
@@ -79,11 +107,18 @@ pub struct Timing {
     pub processor: Option<usize>,
     /// By tree, then by traversal, as in the comparison.
     pub trees: Vec<Vec<Time>>,
+    /// Other ways of asking the same queries.
+    pub ways: Vec<Way>,
+    /// By tree, traversal and way.
+    pub by_way: Vec<Vec<Vec<Time>>>,
+    /// What sorting all queries took.
+    pub sort: Option<Seconds>,
     /// Without the feature `embree`, or when Embree refused the scene, `None`.
     pub embree: Option<EmbreeTime>,
 }
 
 /// Timed queries, which no chunk of a file has to stay in memory for.
+#[derive(Clone)]
 struct Queries {
     list: Vec<(Record, Ray, Range<usize>)>,
     rejects: Vec<Reject>,
@@ -92,9 +127,11 @@ struct Queries {
 }
 
 impl Queries {
-    fn read(rays: &Rays, choice: &Choice) -> Result<Queries, FormatError> {
-        let sample = choice.sample.unwrap_or(u64::MAX).min(MOST_QUERIES);
-        let choice = Choice { sample: Some(sample), ..choice.clone() };
+    fn read(rays: &Rays, settings: &Settings) -> Result<Queries, FormatError> {
+        let sample = settings.choice.sample.unwrap_or(u64::MAX).min(MOST_QUERIES);
+        let choice = Choice { sample: Some(sample), ..settings.choice.clone() };
+        let long = settings.packet.is_some() || settings.sort.is_some();
+        let size = if long { LONG_BLOCK } else { BLOCK };
         let mut queries = Queries { list: Vec::new(), rejects: Vec::new(), runs: Vec::new() };
         choice.for_each_chunk(rays, |chosen| {
             for query in chosen {
@@ -103,11 +140,11 @@ impl Queries {
                 queries.list.push((*query.record, query.ray, start..queries.rejects.len()));
             }
         })?;
-        for block in queries.list.chunks_mut(BLOCK) {
+        for block in queries.list.chunks_mut(size) {
             block.sort_by_key(|(record, ..)| cell(record));
         }
-        for start in (0..queries.list.len()).step_by(BLOCK) {
-            let block = &queries.list[start..queries.list.len().min(start + BLOCK)];
+        for start in (0..queries.list.len()).step_by(size) {
+            let block = &queries.list[start..queries.list.len().min(start + size)];
             let mut first = start;
             for run in block.chunk_by(|a, b| cell(&a.0) == cell(&b.0)) {
                 queries.runs.push((cell(&run[0].0), first..first + run.len()));
@@ -115,6 +152,14 @@ impl Queries {
             }
         }
         Ok(queries)
+    }
+
+    /// The same queries, those of each run in an order of their own.
+    fn sorted(mut self, sort: Sort) -> Queries {
+        for (_, range) in &self.runs {
+            sort.apply(&mut self.list[range.clone()], |(_, ray, _)| *ray);
+        }
+        self
     }
 
     /// The queries of one run; they have lost their numbers, which nothing here needs.
@@ -159,20 +204,35 @@ impl Queries {
     }
 }
 
-/// One tree under one traversal.
+/// One tree under one traversal, asked in one way.
 struct Contender<'a> {
     prepared: &'a Prepared,
     traversal: Traversal,
     order: &'a OcclusionOrder,
+    way: Way,
 }
 
 impl Contender<'_> {
     /// Seconds of each run.
     fn round(&self, queries: &Queries, scratch: &mut Scratch) -> Vec<f64> {
+        let (mut together, mut answers) = (Together::default(), [None; MOST]);
         let timed = |(_, range): &(Cell, Range<usize>)| {
             let start = clock::thread_seconds();
-            for query in queries.run(range) {
-                black_box(query.ask(self.prepared, self.traversal, self.order, &mut (), scratch));
+            match self.way.packet {
+                None => {
+                    for query in queries.run(range) {
+                        black_box(query.ask(self.prepared, self.traversal, self.order, &mut (), scratch));
+                    }
+                }
+                Some(size) => {
+                    for start in range.clone().step_by(size) {
+                        let range = start..range.end.min(start + size);
+                        let packet = queries.run(&range);
+                        let (traversal, order) = (self.traversal, self.order);
+                        let answers = &mut answers;
+                        black_box(together.ask(packet, self.prepared, traversal, order, &mut (), answers));
+                    }
+                }
             }
             clock::thread_seconds() - start
         };
@@ -225,26 +285,37 @@ pub fn time(
     }
     #[cfg(feature = "embree")]
     let embree = embree::Scene::of(trees[0].bvh);
-    let contenders: Vec<Contender> = prepared
-        .iter()
-        .flat_map(|(prepared, order)| {
-            settings.traversals.iter().map(move |&traversal| Contender { prepared, traversal, order })
+    let ways = Way::all(settings);
+    let of = |way: Way| {
+        prepared.iter().flat_map(move |(prepared, order)| {
+            settings.traversals.iter().map(move |&traversal| Contender { prepared, traversal, order, way })
         })
-        .collect();
+    };
+    // The plain ones first, then those of each way.
+    let contenders: Vec<Contender> = of(Way::PLAIN).chain(ways.iter().flat_map(|&way| of(way))).collect();
     let measure = || {
         let processor = clock::pin();
         let mut timings = Vec::with_capacity(recordings.len());
         for Recording { path, rays, .. } in recordings {
-            let queries = Queries::read(rays, &settings.choice)
+            let queries = Queries::read(rays, settings)
                 .map_err(|source| CompareError::File { path: path.clone(), source })?;
+            let sorted = settings.sort.map(|sort| queries.clone().sorted(sort));
+            let mut sorting = Vec::new();
             let mut scratch = Scratch::default();
             let mut taken = vec![Vec::new(); contenders.len()];
             #[cfg(feature = "embree")]
             let mut taken_by_embree = Vec::new();
             for round in 0..=rounds {
                 for (contender, taken) in contenders.iter().zip(&mut taken) {
-                    let seconds = contender.round(&queries, &mut scratch);
+                    let queries = sorted.as_ref().filter(|_| contender.way.sorted).unwrap_or(&queries);
+                    let seconds = contender.round(queries, &mut scratch);
                     taken.extend((round > 0).then_some(seconds));
+                }
+                if let Some(sort) = settings.sort {
+                    let unsorted = queries.clone();
+                    let start = clock::thread_seconds();
+                    black_box(unsorted.sorted(sort));
+                    sorting.extend((round > 0).then_some(clock::thread_seconds() - start));
                 }
                 #[cfg(feature = "embree")]
                 if let Some(scene) = &embree {
@@ -252,14 +323,14 @@ pub fn time(
                     taken_by_embree.extend(seconds.filter(|_| round > 0));
                 }
             }
-            let times: Vec<Time> = contenders
-                .iter()
-                .zip(&taken)
-                .map(|(contender, taken)| Time {
-                    observations: contender.observations(&queries, taken, &mut scratch),
-                    ..queries.time(taken)
-                })
-                .collect();
+            let mut times: Vec<Time> = taken.iter().map(|taken| queries.time(taken)).collect();
+            let others = times.split_off(prepared.len() * settings.traversals.len());
+            for ((contender, taken), time) in contenders.iter().zip(&taken).zip(&mut times) {
+                time.observations = contender.observations(&queries, taken, &mut scratch);
+            }
+            // From ways of trees and traversals to trees and traversals of ways.
+            let of_way = |place: usize| others.iter().skip(place).step_by(times.len()).cloned().collect();
+            let by_way: Vec<Vec<Time>> = (0..times.len()).map(of_way).collect();
             timings.push(Timing {
                 queries: queries.list.len() as u64,
                 by_kind: queries.count(|cell| cell.0),
@@ -267,6 +338,9 @@ pub fn time(
                 rounds,
                 processor,
                 trees: times.chunks(settings.traversals.len()).map(<[Time]>::to_vec).collect(),
+                ways: ways.clone(),
+                by_way: by_way.chunks(settings.traversals.len()).map(<[Vec<Time>]>::to_vec).collect(),
+                sort: settings.sort.map(|_| Seconds::of(sorting)),
                 #[cfg(feature = "embree")]
                 embree: embree.as_ref().and_then(|scene| scene.time(&queries, &taken_by_embree)),
                 #[cfg(not(feature = "embree"))]

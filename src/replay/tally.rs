@@ -3,7 +3,7 @@
 
 use super::check::Verdict;
 use crate::format::rays::{Purpose, Record};
-use crate::traverse::{Counts, Overlap};
+use crate::traverse::{Counts, Decisions, Overlap};
 use std::collections::BTreeMap;
 
 /// How often each value occurred: exactly below 2048, to within 1/1024 above. Grows as needed, to 24,576 places at most.
@@ -117,6 +117,8 @@ pub struct Tally {
     pub overlap: Overlap,
     /// Σ over queries of the square of the leaves overlapped.
     pub leaves_squared: u128,
+    /// How packets decided; zero when queries went alone.
+    pub packets: Decisions,
     /// Traversal only, counting included; summed over threads.
     pub seconds: f64,
 }
@@ -172,6 +174,7 @@ impl Tally {
         self.unchecked += other.unchecked;
         self.overlap += other.overlap;
         self.leaves_squared += other.leaves_squared;
+        self.packets += other.packets;
         self.seconds += other.seconds;
     }
 }
@@ -194,8 +197,14 @@ pub struct Tallies {
 }
 
 impl Tallies {
-    /// Adds what was found for queries of one cell, which took `seconds`.
-    pub fn add(&mut self, (kind, depth, purpose): Cell, queries: &[Replayed], seconds: f64) {
+    /// Adds what was found for queries of one cell, how their packets decided, and that they took `seconds`.
+    pub fn add(
+        &mut self,
+        (kind, depth, purpose): Cell,
+        queries: &[Replayed],
+        packets: &Decisions,
+        seconds: f64,
+    ) {
         for tally in [
             &mut self.total,
             self.by_kind.entry(kind).or_default(),
@@ -203,6 +212,7 @@ impl Tallies {
             self.by_purpose.entry(purpose).or_default(),
         ] {
             queries.iter().for_each(|query| tally.add(query));
+            tally.packets += *packets;
             tally.seconds += seconds;
         }
     }
@@ -272,8 +282,9 @@ mod tests {
         let (mut one, mut two) = (Tallies::default(), Tallies::default());
         for n in 0..100 {
             let cell = cells[n as usize % 2];
-            whole.add(cell, &[query(n)], 0.5);
-            if n < 33 { &mut one } else { &mut two }.add(cell, &[query(n)], 0.5);
+            let packets = Decisions { early_hits: n, early_misses: 1, by_rays: 2, few: n, octets: 3 * n };
+            whole.add(cell, &[query(n)], &packets, 0.5);
+            if n < 33 { &mut one } else { &mut two }.add(cell, &[query(n)], &packets, 0.5);
         }
         let merged = one.merge(two);
         assert_eq!(format!("{merged:?}"), format!("{whole:?}"));
@@ -281,6 +292,7 @@ mod tests {
         assert_eq!(merged.total.counts.box_tests, 4950);
         assert_eq!((merged.total.mismatches, merged.total.borderline, merged.total.unchecked), (25, 25, 25));
         assert_eq!(merged.by_purpose[&Purpose::Shadow].queries, 50);
+        assert_eq!(merged.total.packets.early_hits, 4950);
         assert_eq!(merged.total.seconds, 50.0);
         // Of 0, 1, … 99.
         let deviation = ((100.0f64 * 100.0 - 1.0) / 12.0).sqrt();

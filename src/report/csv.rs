@@ -2,12 +2,14 @@
 
 use super::{gamma_quantile, groups, mean};
 use crate::compare::Comparison;
+use crate::traverse::Decisions;
 use std::fmt::Write;
 
 const COLUMNS: &str = "path,nodes,leaves,depth,max_children,sah_cost,t_r,tree_gamma,traversal,group,name,queries,box_tests,\
                        node_visits,primitive_tests,mismatches,borderline,seconds,gamma,box_tests_mean,box_tests_median,\
                        box_tests_p99,node_visits_mean,node_visits_median,node_visits_p99,primitive_tests_mean,\
-                       primitive_tests_median,primitive_tests_p99,gamma_median,gamma_p99,epo,leaf_count_variability,rays";
+                       primitive_tests_median,primitive_tests_p99,gamma_median,gamma_p99,epo,leaf_count_variability,\
+                       early_hits,early_misses,by_rays,few,octets,rays";
 
 /// The whole comparison, a header line first.
 pub fn render(comparison: &Comparison) -> String {
@@ -57,7 +59,9 @@ pub fn render(comparison: &Comparison) -> String {
                 }
                 let (median, p99) = (gamma_quantile(tally, 0.5), gamma_quantile(tally, 0.99));
                 let (epo, variability) = (tree.epo, result.leaf_count_variability());
-                let _ = writeln!(text, ",{median},{p99},{epo},{variability},{rays}");
+                let Decisions { early_hits, early_misses, by_rays, few, octets } = tally.packets;
+                let _ = write!(text, ",{median},{p99},{epo},{variability}");
+                let _ = writeln!(text, ",{early_hits},{early_misses},{by_rays},{few},{octets},{rays}");
             }
         }
     }

@@ -166,6 +166,7 @@ fn results(comparison: &Comparison, recording: &RecordingResult, number: usize, 
             h2 id={ "r" (number) } { "Results: " (plots::recording_name(recording)) }
             (part("cost"))
             (tables::summary(comparison, recording))
+            (tables::packets(comparison, recording))
             (tables::segments(comparison, recording))
             @if let Some(timing) = &recording.timing {
                 (part("time"))

@@ -3,13 +3,15 @@
 //! Of several recordings, `recordings` holds for each what the whole would be for it alone.
 
 use super::json_time::{TimeJson, Timed};
+use super::time::way_key;
 use super::{gamma_quantile, mean};
 use crate::compare::{
-    Comparison, RecordingResult, Run, TreeFacts, TreeResult, depth_name, kind_name, relative,
+    Comparison, RecordingResult, Run, Settings, TreeFacts, TreeResult, depth_name, kind_name, relative,
 };
 use crate::replay::profile::Profile;
+use crate::replay::sort::Sort;
 use crate::replay::tally::{Costs, Histogram, Tally};
-use crate::traverse::Counts;
+use crate::traverse::{Counts, Decisions};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -18,6 +20,12 @@ struct Report<'a> {
     rays: &'a str,
     c_i: f64,
     c_p: f64,
+    /// Queries in a packet, where they do not go alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    packet: Option<usize>,
+    /// By what queries were sorted.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sort: Option<&'static str>,
     trees: Vec<Tree<'a>>,
     #[serde(flatten)]
     timing: Option<Timed>,
@@ -65,6 +73,9 @@ struct Traversal {
     profile: Option<Levels>,
     #[serde(skip_serializing_if = "Option::is_none")]
     time: Option<TimeJson>,
+    /// By way of asking, where queries also went in packets or sorted.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    other_times: BTreeMap<&'static str, TimeJson>,
 }
 
 /// What a profile adds.
@@ -98,6 +109,22 @@ struct Group {
     /// Relative to the first tree, same traversal and group; absent where the first tree has no such queries.
     gamma_ratio: Option<f64>,
     per_query: PerQuery,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    packets: Option<Packets>,
+}
+
+/// By which rule it was decided whether packets enter boxes.
+#[derive(Serialize)]
+struct Packets {
+    decisions: u64,
+    early_hits: u64,
+    early_misses: u64,
+    /// All active rays were tested: neither rule could tell.
+    by_rays: u64,
+    /// All active rays were tested at once: they were few.
+    few: u64,
+    /// Tests of eight rays against a box.
+    octets: u64,
 }
 
 #[derive(Serialize)]
@@ -137,15 +164,26 @@ fn report_of<'a>(
     let trees = comparison.trees.iter().zip(&recording.trees);
     let mut trees: Vec<Tree> = trees.map(|(facts, tree)| tree_of(costs, facts, tree, first)).collect();
     if let Some(timing) = &recording.timing {
-        for (tree, times) in trees.iter_mut().zip(&timing.trees) {
-            for (traversal, time) in comparison.settings.traversals.iter().zip(times) {
-                let place = tree.traversals.get_mut(traversal.key());
-                place.into_iter().for_each(|place| place.time = Some(TimeJson::of(time)));
+        for ((tree, times), by_way) in trees.iter_mut().zip(&timing.trees).zip(&timing.by_way) {
+            for ((traversal, time), others) in comparison.settings.traversals.iter().zip(times).zip(by_way) {
+                let Some(place) = tree.traversals.get_mut(traversal.key()) else { continue };
+                place.time = Some(TimeJson::of(time));
+                let others = timing.ways.iter().zip(others);
+                place.other_times = others.map(|(way, time)| (way_key(way), TimeJson::of(time))).collect();
             }
         }
     }
-    let timing = Timed::of(comparison, recording);
-    Report { rays: &recording.path, c_i: costs.c_i, c_p: costs.c_p, trees, timing, failures }
+    let Settings { packet, sort, .. } = comparison.settings;
+    Report {
+        rays: &recording.path,
+        c_i: costs.c_i,
+        c_p: costs.c_p,
+        packet,
+        sort: sort.map(Sort::key),
+        trees,
+        timing: Timed::of(comparison, recording),
+        failures,
+    }
 }
 
 fn tree_of<'a>(costs: &Costs, facts: &'a TreeFacts, tree: &TreeResult, first: &TreeResult) -> Tree<'a> {
@@ -212,6 +250,7 @@ fn traversal_of(costs: &Costs, run: &Run, first: &Run) -> Traversal {
             .collect(),
         profile: run.outcome.profile.as_ref().map(levels_of),
         time: None,
+        other_times: BTreeMap::new(),
     }
 }
 
@@ -245,5 +284,11 @@ fn group_of(costs: &Costs, tally: &Tally, first: Option<&Tally>) -> Group {
                 p99: gamma_quantile(tally, 0.99),
             },
         },
+        packets: (tally.packets.total() > 0).then(|| packets_of(&tally.packets)),
     }
+}
+
+fn packets_of(packets: &Decisions) -> Packets {
+    let &Decisions { early_hits, early_misses, by_rays, few, octets } = packets;
+    Packets { decisions: packets.total(), early_hits, early_misses, by_rays, few, octets }
 }

@@ -23,6 +23,9 @@ struct Method {
     queries: u64,
     rounds: u32,
     processor: Option<usize>,
+    /// To sort all queries, where they were.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sort_seconds: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -84,7 +87,12 @@ impl Timed {
     pub fn of(comparison: &Comparison, recording: &RecordingResult) -> Option<Timed> {
         let timing = recording.timing.as_ref()?;
         Some(Timed {
-            timing: Method { queries: timing.queries, rounds: timing.rounds, processor: timing.processor },
+            timing: Method {
+                queries: timing.queries,
+                rounds: timing.rounds,
+                processor: timing.processor,
+                sort_seconds: timing.sort.map(|sort| sort.median),
+            },
             embree: timing.embree.as_ref().map(|embree| Embree {
                 version: embree.version,
                 differing: embree.differing,

@@ -1,6 +1,6 @@
 //! A comparison for people: a summary, the trees, and where the queries' costs come from, each within 100 columns.
 
-use super::{grouped, groups, mean, time, tree_names};
+use super::{grouped, groups, mean, packets, time, tree_names};
 use crate::compare::{Comparison, RecordingResult, explained, relative};
 use crate::traverse::Counts;
 use comfy_table::presets::UTF8_BORDERS_ONLY;
@@ -36,6 +36,10 @@ pub fn render(comparison: &Comparison, details: bool) -> String {
 fn block(comparison: &Comparison, recording: &RecordingResult, names: &[String], details: bool) -> String {
     let mut text = format!("Cost per query\n{}\n", summary(comparison, recording, names));
     text += &format!("\nTrees\n{}\n", trees(comparison, recording, names));
+    if let Some(size) = comparison.settings.packet {
+        text +=
+            &format!("\n{}\n{}\n", packets::title(comparison, size), packets(comparison, recording, names));
+    }
     text += &times(comparison, recording);
     for (index, traversal) in comparison.settings.traversals.iter().enumerate() {
         if let Some(levels) = levels(recording, names, index).filter(|_| details) {
@@ -50,13 +54,26 @@ fn block(comparison: &Comparison, recording: &RecordingResult, names: &[String],
     text
 }
 
+/// By which rule packets decided.
+fn packets(comparison: &Comparison, recording: &RecordingResult, names: &[String]) -> Table {
+    let row = |row: packets::Row| {
+        let mut cells = vec![names[row.tree].clone(), row.order.to_owned(), row.queries];
+        cells.push(format!("{:.2}", row.decisions));
+        cells.extend(row.shares.map(|share| format!("{:.1}%", 100.0 * share)));
+        cells.push(format!("{:.2}", row.octets));
+        cells
+    };
+    let rows = packets::rows(comparison, recording).into_iter().map(row).collect();
+    table(&packets::HEADER, 3, rows)
+}
+
 /// Measured times, and what was fitted to them; empty when nothing was timed.
 fn times(comparison: &Comparison, recording: &RecordingResult) -> String {
     let Some(timing) = &recording.timing else { return String::new() };
     let purposes = time::purposes(timing);
     let header = [&["Tree", "Order", "ns", "least", "greatest", "ratio"][..], &purposes].concat();
     let row = |row: time::TimeRow| {
-        let mut cells = vec![shortened(row.name), row.order.to_owned()];
+        let mut cells = vec![shortened(row.name), row.order];
         cells.extend([row.median, row.least, row.greatest].map(|ns| format!("{ns:.1}")));
         cells.push(format!("{:.3}", row.ratio));
         cells.extend(row.by_purpose.iter().map(|ns| format!("{ns:.1}")));

@@ -2,17 +2,17 @@
 
 use super::tree_names;
 use crate::compare::fit::Estimate;
-use crate::compare::timing::{Seconds, Time, Timing};
+use crate::compare::timing::{Seconds, Time, Timing, Way};
 use crate::compare::{Comparison, RecordingResult};
 
 /// One contender's times, in nanoseconds per query.
 pub(crate) struct TimeRow {
     pub name: String,
-    pub order: &'static str,
+    pub order: String,
     pub median: f64,
     pub least: f64,
     pub greatest: f64,
-    /// Relative to the first tree under the same traversal; Embree to the first of all.
+    /// Relative to the first tree under the same traversal, its queries one by one; Embree to the first of all.
     pub ratio: f64,
     /// As [`purposes`], in the same order.
     pub by_purpose: Vec<f64>,
@@ -23,24 +23,28 @@ pub(crate) fn purposes(timing: &Timing) -> Vec<&'static str> {
     timing.by_purpose.keys().map(|purpose| purpose.name()).collect()
 }
 
-/// A row per traversal and tree, then Embree's; none when nothing was timed.
+/// A row per traversal, tree and way of asking, then Embree's; none when nothing was timed.
 pub(crate) fn rows(comparison: &Comparison, recording: &RecordingResult) -> Vec<TimeRow> {
     let Some(timing) = &recording.timing else { return Vec::new() };
     let names = tree_names(comparison);
     let mut rows = Vec::new();
     for (run, traversal) in comparison.settings.traversals.iter().enumerate() {
         let first = &timing.trees[0][run];
-        for (tree, name) in timing.trees.iter().zip(&names) {
-            rows.push(row(timing, name.clone(), traversal.name(), &tree[run], first));
+        for ((tree, by_way), name) in timing.trees.iter().zip(&timing.by_way).zip(&names) {
+            rows.push(row(timing, name.clone(), traversal.name().to_owned(), &tree[run], first));
+            for (way, time) in timing.ways.iter().zip(&by_way[run]) {
+                let order = format!("{}, {}", traversal.name(), way_name(way));
+                rows.push(row(timing, name.clone(), order, time, first));
+            }
         }
     }
     if let Some(embree) = &timing.embree {
-        rows.push(row(timing, "Embree".to_owned(), "its own", &embree.time, &timing.trees[0][0]));
+        rows.push(row(timing, "Embree".to_owned(), "its own".to_owned(), &embree.time, &timing.trees[0][0]));
     }
     rows
 }
 
-fn row(timing: &Timing, name: String, order: &'static str, time: &Time, first: &Time) -> TimeRow {
+fn row(timing: &Timing, name: String, order: String, time: &Time, first: &Time) -> TimeRow {
     let per_query = |seconds: f64, queries: u64| seconds * 1e9 / queries.max(1) as f64;
     let Seconds { median, least, greatest } = time.total;
     let [median, least, greatest] =
@@ -59,6 +63,21 @@ fn row(timing: &Timing, name: String, order: &'static str, time: &Time, first: &
     }
 }
 
+/// A way of asking, for people.
+fn way_name(way: &Way) -> String {
+    let packets = way.packet.map(|size| format!("packets of {size}"));
+    packets.into_iter().chain(way.sorted.then(|| "sorted".to_owned())).collect::<Vec<_>>().join(", ")
+}
+
+/// The key of a way of asking in JSON.
+pub(crate) fn way_key(way: &Way) -> &'static str {
+    match (way.packet.is_some(), way.sorted) {
+        (true, true) => "packets_sorted",
+        (true, false) => "packets",
+        (false, _) => "sorted",
+    }
+}
+
 /// How it was measured, in a sentence.
 pub(crate) fn method(timing: &Timing) -> String {
     let processor = match timing.processor {
@@ -72,9 +91,12 @@ pub(crate) fn method(timing: &Timing) -> String {
         ),
         _ => String::new(),
     };
+    let sort = timing.sort.map_or(String::new(), |sort| {
+        format!(" Sorting took {:.1} ns per query.", sort.median * 1e9 / timing.queries.max(1) as f64)
+    });
     format!(
         "Processor time of {processor}, {} queries without counting, all contenders in turn; median, least and greatest of \
-         {} rounds after one that warms up.{embree}",
+         {} rounds after one that warms up.{sort}{embree}",
         super::grouped(timing.queries),
         timing.rounds
     )

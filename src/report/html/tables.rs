@@ -1,6 +1,6 @@
 //! The tables of a page. Each scrolls by itself where the screen is narrow, and can be reached with the keyboard.
 
-use super::super::{Group, gamma_quantile, grouped, groups, mean, tree_names};
+use super::super::{Group, gamma_quantile, grouped, groups, mean, packets, tree_names};
 use super::chart::short;
 use crate::compare::{Comparison, RecordingResult, relative};
 use maud::{Markup, html};
@@ -17,6 +17,12 @@ fn meaning(column: &str) -> Option<&'static str> {
         "µs" => "Per query on one thread, with counting",
         "wrong" => "Answers that are not the recorded one, and cannot be right",
         "borderline" => "Queries that graze an edge or a plane, so that two answers are right",
+        "decisions" => "Boxes for which it was decided whether a packet enters them, per query",
+        "early hit" => "The first and the last eight active rays enter: all are taken to",
+        "early miss" => "No ray can enter, by interval arithmetic",
+        "rays" => "All active rays were tested, as neither could tell",
+        "few" => "All active rays were tested at once, as they were few",
+        "octets" => "Tests of eight rays against a box, per query",
         "lines" => {
             "Distinct cache lines of 64 bytes read per query: nodes of 32 bytes, triangles of 36 in leaf order"
         }
@@ -136,6 +142,27 @@ pub fn summary(comparison: &Comparison, recording: &RecordingResult) -> Markup {
         }
     };
     table("Cost per query", &header, 2, body)
+}
+
+/// By which rule packets decided, where there are any.
+pub fn packets(comparison: &Comparison, recording: &RecordingResult) -> Markup {
+    let Some(size) = comparison.settings.packet else { return html! {} };
+    let names = tree_names(comparison);
+    let body = html! {
+        tbody {
+            @for row in packets::rows(comparison, recording) {
+                tr {
+                    th scope="row" { (names[row.tree]) }
+                    th scope="row" { (row.order) }
+                    th scope="row" { (row.queries) }
+                    td { (format!("{:.2}", row.decisions)) }
+                    @for share in row.shares { td { (format!("{:.1}%", 100.0 * share)) } }
+                    td { (format!("{:.2}", row.octets)) }
+                }
+            }
+        }
+    };
+    table(&packets::title(comparison, size), &packets::HEADER, 3, body)
 }
 
 /// What the trees have to do for the recording's effective segments, whatever the order.
