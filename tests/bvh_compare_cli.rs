@@ -255,7 +255,8 @@ fn times_fits_and_rankings_are_reported() {
     assert_eq!(forms, ["binary", "wide", "binary", "wide"]);
     for fit in fits {
         assert!(fit["r_squared"].as_f64() <= Some(1.0), "{fit}");
-        assert_eq!(fit["box_test"].is_null(), fit["form"] == "binary", "a visit is two box tests");
+        // That of wide trees is left out too when it comes out below zero.
+        assert!(fit["box_test"].is_null() || fit["form"] == "wide", "a visit is two box tests");
     }
     for ranking in report["ranking"].as_array().expect("rankings") {
         for key in ["sah_cost", "epo", "leaf_count_variability", "t_r", "gamma_r", "gamma"] {
