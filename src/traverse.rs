@@ -2,8 +2,8 @@
 //!
 //! A [`Prepared`] tree is made once per tree: inner nodes in a form that is quick to test ([`pairs`] for binary
 //! trees, [`groups`] for wider ones), triangles in leaf order in [`blocks`] of four. Each thread has a [`Scratch`]; nothing is allocated per
-//! query. The algorithms (`odf`, `ray_order`) are generic over the form, over who watches ([`Observer`]) and over which
-//! triangles count ([`Candidates`]), and are compiled for each combination.
+//! query. The algorithms (`odf`, `ray_order`, `any_hit`) are generic over the form, over who watches ([`Observer`]) and over which
+//! triangles count ([`Candidates`]), and are compiled for each combination. Where nobody watches, wide trees are followed more quickly (`quick`).
 //!
 //! Queries of one kind may also be asked together ([`packet`]).
 //!
@@ -35,6 +35,8 @@ mod odf;
 pub mod overlap;
 pub mod packet;
 pub mod pairs;
+#[cfg(target_arch = "x86_64")]
+mod quick;
 pub mod ray;
 mod ray_order;
 mod simd;
@@ -105,6 +107,8 @@ pub struct Scratch {
     room: Room,
     queue: ray_order::Queue,
     waiting: any_hit::Waiting,
+    #[cfg(target_arch = "x86_64")]
+    quick: quick::Room,
 }
 
 #[derive(Debug)]
@@ -127,7 +131,7 @@ pub struct Prepared {
     node_count: usize,
     /// Most entries that can wait on a stack.
     stack_size: usize,
-    /// Whether the processor has AVX2 and FMA: asked once, not per query.
+    /// Whether the processor has AVX2, FMA and the bit instructions that came with them: asked once, not per query.
     #[cfg_attr(
         not(target_arch = "x86_64"),
         expect(dead_code, reason = "x86-64 has processors with and without")
@@ -173,14 +177,21 @@ impl Prepared {
 
     /// The closest hit in (tnear, tfar] among `candidates`; of several at the same t, the triangle of the lowest index.
     #[inline]
-    pub fn closest_hit(
+    pub fn closest_hit<O: Observer>(
         &self,
         traversal: Traversal,
         ray: &PreparedRay,
         candidates: &impl Candidates,
-        observer: &mut impl Observer,
+        observer: &mut O,
         scratch: &mut Scratch,
     ) -> Option<Hit> {
+        #[cfg(target_arch = "x86_64")]
+        if !O::STEPS
+            && traversal == Traversal::Odf
+            && let Some(best) = self.quick_closest(ray, candidates, scratch)
+        {
+            return best.hit();
+        }
         self.query::<false>(traversal, &NearestFirst, ray, candidates, observer, scratch)
     }
 
@@ -218,9 +229,9 @@ impl Prepared {
             OcclusionOrder::Farthest => run!(Always::<{ rule::FARTHEST }>),
             OcclusionOrder::Area(areas) => run!(LargerFirst(areas)),
             OcclusionOrder::Outside if O::NODES => run!(OutsideFirst(ray.tnear)),
-            OcclusionOrder::Outside => self.any_hit::<true>(ray, candidates, observer, scratch),
+            OcclusionOrder::Outside => self.any_hit::<true, O>(ray, candidates, observer, scratch),
             OcclusionOrder::First if O::NODES => run!(Always::<{ rule::FIRST }>),
-            OcclusionOrder::First => self.any_hit::<false>(ray, candidates, observer, scratch),
+            OcclusionOrder::First => self.any_hit::<false, O>(ray, candidates, observer, scratch),
             OcclusionOrder::Last => run!(Always::<{ rule::LAST }>),
             OcclusionOrder::Random(seed) => run!(Drawn::new(*seed, ray)),
         }
@@ -228,13 +239,19 @@ impl Prepared {
 
     /// [`Self::occluder_in`] for an observer that does not look at numbers of nodes: in the order of the file, or `OUTSIDE` first.
     #[inline]
-    fn any_hit<const OUTSIDE: bool>(
+    fn any_hit<const OUTSIDE: bool, O: Observer>(
         &self,
         ray: &PreparedRay,
         candidates: &impl Candidates,
-        observer: &mut impl Observer,
+        observer: &mut O,
         scratch: &mut Scratch,
     ) -> Option<Hit> {
+        #[cfg(target_arch = "x86_64")]
+        if !O::STEPS
+            && let Some(best) = self.quick_any::<OUTSIDE>(ray, candidates, scratch)
+        {
+            return best.hit();
+        }
         #[cfg(target_arch = "x86_64")]
         if self.fused {
             // SAFETY: the processor has these features, or `fused` would be false.
@@ -245,7 +262,7 @@ impl Prepared {
 
     /// `any_hit_on`, compiled for processors with AVX2 and fused multiply-add.
     #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
+    #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn any_hit_fused<const OUTSIDE: bool>(
         &self,
         ray: &PreparedRay,
@@ -287,7 +304,7 @@ impl Prepared {
     ) -> Option<Hit> {
         #[cfg(target_arch = "x86_64")]
         if self.fused {
-            // SAFETY: the processor has both features, or `fused` would be false.
+            // SAFETY: the processor has these features, or `fused` would be false.
             return unsafe { self.query_fused::<ANY>(traversal, order, ray, candidates, observer, scratch) };
         }
         self.query_on::<ANY, simd::Any>(traversal, order, ray, candidates, observer, scratch)
@@ -295,7 +312,7 @@ impl Prepared {
 
     /// `query_on`, compiled for processors with AVX2 and fused multiply-add: the same bits, sooner.
     #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
+    #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn query_fused<const ANY: bool>(
         &self,
         traversal: Traversal,
@@ -380,7 +397,7 @@ impl Prepared {
     ) {
         #[cfg(target_arch = "x86_64")]
         if self.fused {
-            // SAFETY: the processor has both features, or `fused` would be false.
+            // SAFETY: the processor has these features, or `fused` would be false.
             return unsafe { self.encounters_fused(ray, candidates, scratch, found) };
         }
         self.encounters_on::<simd::Any>(ray, candidates, scratch, found);
@@ -388,7 +405,7 @@ impl Prepared {
 
     /// `encounters_on`, compiled for processors with AVX2 and fused multiply-add.
     #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
+    #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn encounters_fused(
         &self,
         ray: &PreparedRay,
@@ -418,7 +435,12 @@ impl Prepared {
 /// Whether the functions compiled for AVX2 and fused multiply-add may run here.
 fn fused() -> bool {
     #[cfg(target_arch = "x86_64")]
-    let fused = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
+    let fused = is_x86_feature_detected!("avx2")
+        && is_x86_feature_detected!("fma")
+        && is_x86_feature_detected!("bmi1")
+        && is_x86_feature_detected!("bmi2")
+        && is_x86_feature_detected!("lzcnt")
+        && is_x86_feature_detected!("popcnt");
     #[cfg(not(target_arch = "x86_64"))]
     let fused = false;
     fused

@@ -18,7 +18,7 @@ impl Waiting {
     #[inline(always)]
     pub fn room(&mut self, capacity: usize) -> &mut [Below] {
         if self.0.len() < capacity {
-            self.0.resize(capacity, Below { first: 0, count: 0 });
+            self.0.resize(capacity, Below::NOTHING);
         }
         &mut self.0
     }

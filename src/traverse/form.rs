@@ -12,6 +12,16 @@ pub struct Below {
     pub count: u32,
 }
 
+impl Below {
+    /// A leaf without triangles.
+    pub(super) const NOTHING: Below = Below { first: 0, count: LEAF_BIT };
+
+    #[inline(always)]
+    pub(super) fn is_leaf(self) -> bool {
+        self.count & LEAF_BIT != 0
+    }
+}
+
 /// A subtree that the ray overlaps, and where to find what is below.
 #[derive(Clone, Copy, Debug)]
 pub struct Link {

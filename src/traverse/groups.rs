@@ -10,11 +10,11 @@ use crate::tree::TreeView;
 /// `N` children: two cache lines for four, four for eight.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
-struct Group<const N: usize> {
-    /// Per axis: lower faces, upper faces, a lane per child.
-    faces: [[[f32; N]; 2]; 3],
+pub(super) struct Group<const N: usize> {
+    /// Per axis: lower faces, upper faces, a lane per child. Lanes without a child have the faces of a box that no ray meets.
+    pub faces: [[[f32; N]; 2]; 3],
     /// The first of an inner child is the index of its first group.
-    below: [Below; N],
+    pub below: [Below; N],
 }
 
 /// All groups of a tree, and where each inner node's are.
@@ -24,6 +24,7 @@ pub struct Groups<const N: usize> {
     /// Node in the file of the first child of each group.
     child: Vec<u32>,
     root: Below,
+    is_one_a_node: bool,
 }
 
 impl<const N: usize> Groups<N> {
@@ -44,7 +45,8 @@ impl<const N: usize> Groups<N> {
         for node in tree.nodes.iter().filter(|node| !node.is_leaf()) {
             for first in node.range().step_by(N) {
                 let children = first..node.range().end.min(first + N);
-                let mut group = Group { faces: [[[0.0; N]; 2]; 3], below: [Below { first: 0, count: 0 }; N] };
+                let nowhere = [[f32::INFINITY; N], [f32::NEG_INFINITY; N]];
+                let mut group = Group { faces: [nowhere; 3], below: [Below::NOTHING; N] };
                 for (lane, index) in children.enumerate() {
                     let bounds = tree.nodes[index].bounds();
                     for axis in 0..3 {
@@ -57,7 +59,20 @@ impl<const N: usize> Groups<N> {
                 child.push(first as u32);
             }
         }
-        Groups { groups, child, root: below[0] }
+        let is_one_a_node = tree.nodes.iter().all(|node| node.is_leaf() || node.len() <= N);
+        Groups { groups, child, root: below[0], is_one_a_node }
+    }
+
+    /// Whether no node has more children than a group holds.
+    #[inline(always)]
+    pub(super) fn is_one_a_node(&self) -> bool {
+        self.is_one_a_node
+    }
+
+    /// All groups; what is below an inner node says which is whose.
+    #[inline(always)]
+    pub(super) fn all(&self) -> &[Group<N>] {
+        &self.groups
     }
 
     /// What is below the root.
@@ -108,7 +123,7 @@ impl<const N: usize> Group<N> {
 
     /// Pushes what is below the lanes in `mask`, the lowest on top.
     #[inline(always)]
-    fn push(&self, mut mask: u32, stack: &mut [Below], mut top: usize) -> usize {
+    pub(super) fn push(&self, mut mask: u32, stack: &mut [Below], mut top: usize) -> usize {
         while mask != 0 {
             let lane = mask.ilog2() as usize % N;
             mask &= !(1 << lane);

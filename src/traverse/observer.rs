@@ -5,6 +5,9 @@ use super::triangle::PreparedTriangle;
 
 /// Told of each step of a traversal, in order. `()` ignores all of it.
 pub trait Observer {
+    /// Whether it looks at anything.
+    const STEPS: bool = true;
+
     /// Whether it looks at [`Link::node`]: some traversals know no numbers of nodes.
     const NODES: bool = true;
 
@@ -34,6 +37,8 @@ pub trait Observer {
 }
 
 impl Observer for () {
+    const STEPS: bool = false;
+
     const NODES: bool = false;
 
     #[inline(always)]

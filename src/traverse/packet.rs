@@ -81,7 +81,7 @@ impl Prepared {
         assert!(count <= MOST && task.candidates.len() == count && task.answers.len() == count);
         #[cfg(target_arch = "x86_64")]
         if self.fused {
-            // SAFETY: the processor has both features, or `fused` would be false.
+            // SAFETY: the processor has these features, or `fused` would be false.
             return unsafe { self.packet_fused::<ANY, C, O>(task) };
         }
         self.packet_on::<ANY, simd::Any, C, O>(task);
@@ -89,7 +89,7 @@ impl Prepared {
 
     /// `packet_on`, compiled for processors with AVX2 and fused multiply-add: the same bits, sooner.
     #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
+    #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
     fn packet_fused<const ANY: bool, C: Candidates, O: PacketObserver>(&self, task: Task<C, O>) {
         self.packet_on::<ANY, simd::Avx2, C, O>(task);
     }
