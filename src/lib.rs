@@ -13,6 +13,7 @@
 //! | building | [`builder`], [`probability`], [`optimize`], [`training`], [`recipe`] | trees from triangles, and from rays how likely a box is hit |
 //! | traversal | [`traverse`], [`replay`] | recorded queries over any tree: counts, and agreement with the recording |
 //! | results | [`compare`], [`report`], [`experiment`] | trees side by side; tables, JSON, heat maps; the paper's figures |
+//! | a window's logic | [`explore`] | walking a tree; where its work goes; what a query does, step by step |
 //! | around it | [`cli`], [`progress`], [`random`] | what all commands and all algorithms share |
 //!
 //! # Invariants
@@ -30,6 +31,7 @@ pub mod diff;
 #[cfg(feature = "embree")]
 pub mod embree;
 pub mod experiment;
+pub mod explore;
 pub mod files;
 pub mod format;
 pub mod geometry;

@@ -3,6 +3,7 @@
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
 /// How long work may take before it is worth a bar.
@@ -13,6 +14,7 @@ pub struct Progress {
     started: Instant,
     bar: ProgressBar,
     shown: Mutex<bool>,
+    stopped: AtomicBool,
 }
 
 impl Progress {
@@ -23,16 +25,37 @@ impl Progress {
             bar.set_style(style.progress_chars("=> "));
         }
         bar.set_message(what);
-        Progress { started: Instant::now(), bar, shown: Mutex::new(!std::io::stderr().is_terminal()) }
+        let shown = Mutex::new(!std::io::stderr().is_terminal());
+        Progress { started: Instant::now(), bar, shown, stopped: AtomicBool::new(false) }
     }
 
     /// A task that nobody watches: for library calls from tests and other programs.
     pub fn hidden() -> Progress {
-        let progress = Progress::new("", 0);
+        Progress::watched(0)
+    }
+
+    /// A task of `steps` steps without a bar, for a window that shows its [`Self::fraction`], and may stop it.
+    pub fn watched(steps: u64) -> Progress {
+        let progress = Progress::new("", steps);
         if let Ok(mut shown) = progress.shown.lock() {
             *shown = true;
         }
         progress
+    }
+
+    /// How much is done: 0 to 1.
+    pub fn fraction(&self) -> f64 {
+        let steps = self.bar.length().unwrap_or(0).max(1);
+        (self.bar.position() as f64 / steps as f64).min(1.0)
+    }
+
+    /// Nobody wants the result any more: a task that knows how to ends early.
+    pub fn stop(&self) {
+        self.stopped.store(true, Relaxed);
+    }
+
+    pub fn is_stopped(&self) -> bool {
+        self.stopped.load(Relaxed)
     }
 
     /// `steps` more are done.

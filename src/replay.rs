@@ -249,10 +249,8 @@ impl Job<'_> {
         }
         let mut overlap = Overlap::default();
         if self.options.overlap {
-            // The effective segment ends at the answer; that of an occlusion query is the whole interval, although
-            // an occluded one may be answered before its end.
             let occlusion = query.record.is_occlusion();
-            let end = if occlusion { query.ray.tfar } else { hit.map_or(query.ray.tfar, |hit| hit.t) };
+            let end = query.end(hit);
             self.prepared.overlap(&PreparedRay::new(&query.ray), end, &mut overlap, scratch);
             let alone = self.options.packet.is_none();
             let held =

@@ -7,6 +7,7 @@ pub mod collapse;
 pub mod epo;
 pub mod leaves;
 pub mod likely;
+pub mod places;
 pub mod statistics;
 pub mod validate;
 

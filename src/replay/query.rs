@@ -54,7 +54,8 @@ impl Choice {
         }
     }
 
-    fn query<'c>(&self, chunk: &'c Chunk, start: u64, number: u64) -> Option<Query<'c>> {
+    /// Query `number` of the file, in `chunk`, whose first record has the number `start`, if it is chosen; whatever the sample.
+    pub fn query<'c>(&self, chunk: &'c Chunk, start: u64, number: u64) -> Option<Query<'c>> {
         let index = (number - start) as usize;
         let record = &chunk.records[index];
         let trained = |portion: &Portion| portion.trains(record, number);
@@ -98,6 +99,16 @@ fn rejects_of(rejects: &[Reject], record: u32) -> &[Reject] {
 }
 
 impl Query<'_> {
+    /// Where the effective segment ends when `hit` is the answer. That of an occlusion query is the whole interval, although an
+    /// occluded one may be answered before its end.
+    #[inline]
+    pub fn end(&self, hit: Option<Hit>) -> f32 {
+        match hit {
+            Some(hit) if !self.record.is_occlusion() => hit.t,
+            _ => self.ray.tfar,
+        }
+    }
+
     /// Asks `prepared`; `order` is for depth-first occlusion queries.
     #[inline]
     pub fn ask(

@@ -10,6 +10,7 @@
 //! A triangle that spatial splits put into several leaves belongs to each of their ancestors. Boxes are closed: a wall in the
 //! plane of a box's face counts.
 
+use super::places::Places;
 use super::{Node, TreeView};
 use crate::geometry::{DVec3, Triangle};
 use rayon::prelude::*;
@@ -21,7 +22,7 @@ const PIECE: usize = 1024;
 pub fn end_point_overlap(tree: TreeView, triangles: &[Triangle], c_i: f64, c_p: f64) -> f64 {
     let places = Places::of(tree, triangles.len());
     let indices: Vec<u32> =
-        (0..triangles.len() as u32).filter(|&index| !places.leaves_of(index).is_empty()).collect();
+        (0..triangles.len() as u32).filter(|&index| !places.of_triangle(index).is_empty()).collect();
     let cost = |node: &Node| node.len() as f64 * if node.is_leaf() { c_p } else { c_i };
     let sums: Vec<(f64, f64)> = indices
         .par_chunks(PIECE)
@@ -34,7 +35,7 @@ pub fn end_point_overlap(tree: TreeView, triangles: &[Triangle], c_i: f64, c_p: 
                 stack.push((0usize, whole));
                 while let Some((number, polygon)) = stack.pop() {
                     let node = &tree.nodes[number];
-                    if !places.below(number, index) {
+                    if !places.holds(number, index) {
                         sums.0 += cost(node) * polygon.area();
                     }
                     if !node.is_leaf() {
@@ -48,63 +49,6 @@ pub fn end_point_overlap(tree: TreeView, triangles: &[Triangle], c_i: f64, c_p: 
         .collect();
     let (overlap, surface) = sums.iter().fold((0.0, 0.0), |sum, part| (sum.0 + part.0, sum.1 + part.1));
     if surface > 0.0 { overlap / surface } else { 0.0 }
-}
-
-/// Which triangles are below which nodes: leaves numbered depth first, so that those below a node are an interval.
-struct Places {
-    /// Of each node, the numbers of the leaves below.
-    leaves: Vec<std::ops::Range<u32>>,
-    /// Numbers of the leaves that hold each triangle, ascending; those of triangle i from `starts[i]` to `starts[i + 1]`.
-    holding: Vec<u32>,
-    starts: Vec<usize>,
-}
-
-impl Places {
-    fn of(tree: TreeView, triangles: usize) -> Places {
-        // Children stand behind their parents: sums go from the back, places from the front.
-        let mut leaves = vec![0..0; tree.nodes.len()];
-        for (number, node) in tree.nodes.iter().enumerate().rev() {
-            let below = if node.is_leaf() { 1 } else { node.range().map(|child| leaves[child].end).sum() };
-            leaves[number].end = below;
-        }
-        for (number, node) in tree.nodes.iter().enumerate().filter(|(_, node)| !node.is_leaf()) {
-            let mut next = leaves[number].start;
-            for child in node.range() {
-                leaves[child] = next..next + leaves[child].end;
-                next = leaves[child].end;
-            }
-        }
-        let mut starts = vec![0; triangles + 1];
-        for &triangle in tree.primitives {
-            starts[triangle as usize + 1] += 1;
-        }
-        for index in 0..triangles {
-            starts[index + 1] += starts[index];
-        }
-        let mut holding = vec![0; tree.primitives.len()];
-        let mut next = starts.clone();
-        for (number, node) in tree.nodes.iter().enumerate().filter(|(_, node)| node.is_leaf()) {
-            for &triangle in &tree.primitives[node.range()] {
-                holding[next[triangle as usize]] = leaves[number].start;
-                next[triangle as usize] += 1;
-            }
-        }
-        for index in 0..triangles {
-            holding[starts[index]..next[index]].sort_unstable();
-        }
-        Places { leaves, holding, starts }
-    }
-
-    fn leaves_of(&self, triangle: u32) -> &[u32] {
-        let index = triangle as usize;
-        &self.holding[self.starts[index]..self.starts[index + 1]]
-    }
-
-    /// Whether the triangle belongs to the node.
-    fn below(&self, node: usize, triangle: u32) -> bool {
-        let (own, below) = (self.leaves_of(triangle), &self.leaves[node]);
-        own.get(own.partition_point(|leaf| leaf < &below.start)).is_some_and(|leaf| leaf < &below.end)
-    }
 }
 
 /// A triangle clipped to boxes: each of the six planes adds a corner at most.

@@ -37,23 +37,25 @@ impl Statistics {
     }
 }
 
+/// Half the surface area of a node's box, in double precision: coordinates of 1e38 are legal, their products are not in single.
+fn half_area(node: &Node) -> f64 {
+    let edge = (node.upper.as_dvec3() - node.lower.as_dvec3()).max(DVec3::ZERO);
+    edge.x * edge.y + edge.y * edge.z + edge.z * edge.x
+}
+
+/// A node's term of the SAH cost, not divided by the root's area: half its area · `c_i` · children, or · `c_p` · primitives.
+pub fn node_cost(node: &Node, c_i: f64, c_p: f64) -> f64 {
+    half_area(node) * node.len() as f64 * if node.is_leaf() { c_p } else { c_i }
+}
+
 /// SAH cost (Goldsmith and Salmon 1987): Σ inner area/root area · `c_i` · children + Σ leaf area/root area · `c_p` · primitives.
 /// 0 for a tree whose root has no area.
 pub fn sah_cost(tree: TreeView, c_i: f64, c_p: f64) -> f64 {
-    // In double precision: coordinates of 1e38 are legal, their products are not in single.
-    let area = |node: &Node| {
-        let edge = (node.upper.as_dvec3() - node.lower.as_dvec3()).max(DVec3::ZERO);
-        edge.x * edge.y + edge.y * edge.z + edge.z * edge.x
-    };
-    let root_area = tree.nodes.first().map_or(0.0, area);
+    let root_area = tree.nodes.first().map_or(0.0, half_area);
     if !root_area.is_finite() || root_area <= 0.0 {
         return 0.0;
     }
-    let cost: f64 = tree
-        .nodes
-        .iter()
-        .map(|node| area(node) * node.len() as f64 * if node.is_leaf() { c_p } else { c_i })
-        .sum();
+    let cost: f64 = tree.nodes.iter().map(|node| node_cost(node, c_i, c_p)).sum();
     cost / root_area
 }
 
