@@ -12,7 +12,7 @@
 #include "shim.h"
 
 /* Changes with every change of this file. */
-#define EXCHANGE_MAGIC 0x3130684378457445ull
+#define EXCHANGE_MAGIC 0x3230684378457445ull
 
 enum {
   EXCHANGE_SLOTS = 256,          /* threads that can record at a time */
@@ -70,7 +70,7 @@ enum {
   EXCHANGE_TRIANGLES = 0,
   EXCHANGE_QUADS = 1,
   EXCHANGE_INSTANCED = 2,
-  EXCHANGE_OTHER = 3 /* curves, points, grids, subdivision surfaces, user geometry, motion: left out */
+  EXCHANGE_OTHER = 3 /* curves, points, grids, subdivision surfaces, user geometry: left out */
 };
 
 typedef struct ExchangePart {
@@ -81,7 +81,7 @@ typedef struct ExchangePart {
   uint32_t triangle_count;
   uint32_t capture; /* of the instanced scene */
   uint32_t type;    /* RTCGeometryType */
-  uint32_t moving;  /* has several time steps */
+  uint32_t moving;  /* has several time steps: triangles or transform are those of the first, and no leaf holds it */
   float transform[12]; /* of an instance: 3 x 4, row by row */
 } ExchangePart;
 

@@ -74,7 +74,7 @@ struct Attached {
   std::uint32_t version = 0;     // RTC_DEVICE_PROPERTY_VERSION
   Bounds bounds[2];              // rtcGetSceneLinearBounds
   bool spatial_splits = false;   // whether its quality lets Embree split triangles
-  bool others = false;           // whether there are geometries that are neither triangles, quads nor instances
+  bool others = false;           // whether there are geometries that are none of these, or move
   std::vector<Part> parts;       // by geomID
   std::uint64_t triangle_count = 0;  // elements of TRIS
 };

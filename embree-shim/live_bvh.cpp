@@ -128,7 +128,7 @@ class Reader {
     const bool moving = kernel.find(layout::motion_kernel) != std::string::npos;
     if (moving || (source.block == nullptr && primitive != layout::instance_name)) {
       if (!scene_.others) throw Doubt("the primitive type is unknown: " + printable(moving ? kernel : primitive));
-      // Of geometries that are left out.
+      // Of geometries that are left out, or that move.
       return;
     }
     source.width = bvh.accel.type == layout::type_bvh8 ? 8 : 4;
@@ -146,7 +146,7 @@ class Reader {
   // The scene's box is that of its BVHs.
   void check_bounds() const {
     const Bounds& whole = scene_.bounds[0];
-    // Geometries that are left out may move.
+    // Geometries that are left out may reach further, and may move.
     const bool holds = scene_.others ? whole.contains(all_bounds_) || !whole.is_proper() : all_bounds_ == whole;
     if (!sources_.empty() && !holds) throw Doubt("the BVHs' bounds differ from the scene's");
   }

@@ -101,7 +101,7 @@ class Writer {
     file.write(parts_.data(), parts_.size());
     file.write(tree.nodes.data(), tree.nodes.size());
     file.write(tree.primitives.data(), tree.primitives.size());
-    for (const shim::Part& part : attached_.parts) {
+    for (const shim::Part& part : faces_) {
       float triangles[18];
       for (std::uint64_t face = 0; face < part.faces; face++) {
         part.triangles(face, triangles);
@@ -126,39 +126,47 @@ class Writer {
     part.geometry = id;
     part.type = geometry.type;
     part.mask = geometry.mask;
-    part.moving = geometry.time_steps > 1;
     part.first_triangle = static_cast<std::uint32_t>(capture_->flattened_);
     part.kind = EXCHANGE_OTHER;
     if (attached_.parts.size() <= id) attached_.parts.resize(std::size_t{id} + 1);
     shim::Part& here = attached_.parts[id];
     here.first_triangle = part.first_triangle;
     here.mask = geometry.mask;
+    const bool moves = geometry.time_steps > 1;
+    std::uint64_t primitives = 0;
     const bool quads = geometry.type == RTC_GEOMETRY_TYPE_QUAD;
-    if (part.moving) {
-      capture_->others_++;
-    } else if (quads || geometry.type == RTC_GEOMETRY_TYPE_TRIANGLE) {
+    if (quads || geometry.type == RTC_GEOMETRY_TYPE_TRIANGLE) {
       part.kind = quads ? EXCHANGE_QUADS : EXCHANGE_TRIANGLES;
-      add_faces(geometry, here);
-      part.triangle_count = static_cast<std::uint32_t>(here.faces * here.triangles_per_face());
+      shim::Part faces = here;
+      add_faces(geometry, faces);
+      primitives = faces.faces;
+      part.triangle_count = static_cast<std::uint32_t>(primitives * faces.triangles_per_face());
       own_triangles_ += part.triangle_count;
+      faces_.push_back(faces);
+      // What moves stands in trees of its own, which are not read.
+      if (!moves) here = faces;
     } else if (geometry.type == RTC_GEOMETRY_TYPE_INSTANCE && attachment.instanced != nullptr) {
       const Capture& child = *attachment.instanced;
       part.kind = EXCHANGE_INSTANCED;
       part.capture = child.index();
       part.triangle_count = static_cast<std::uint32_t>(child.flattened_);
       real().rtcGetGeometryTransform(geometry.handle, 0.0f, RTC_FORMAT_FLOAT3X4_ROW_MAJOR, part.transform);
-      here.instance = true;
+      here.instance = !moves;
       capture_->others_ += child.others_;
+      capture_->moving_ = capture_->moving_ || child.moving_;
       capture_->children_.push_back(attachment.instanced);
     } else if (geometry.type != RTC_GEOMETRY_TYPE_INSTANCE) {
       capture_->others_++;
     }
+    part.moving = moves ? 1 : 0;
+    capture_->moving_ = capture_->moving_ || moves;
     auto& places = capture_->places_;
     if (places.size() <= id) places.resize(std::size_t{id} + 1);
     places[id].kind = part.kind;
+    places[id].moves = moves;
     places[id].first_triangle = part.first_triangle;
-    places[id].primitives = static_cast<std::uint32_t>(here.faces);
-    if (here.instance) places[id].instanced = attachment.instanced.get();
+    places[id].primitives = static_cast<std::uint32_t>(primitives);
+    if (part.kind == EXCHANGE_INSTANCED) places[id].instanced = attachment.instanced.get();
     capture_->flattened_ += part.triangle_count;
     parts_.push_back(part);
   }
@@ -189,7 +197,7 @@ class Writer {
     attached_.bounds[0] = bounds_of(linear.bounds0);
     attached_.bounds[1] = bounds_of(linear.bounds1);
     attached_.spatial_splits = scene_.spatial_splits;
-    attached_.others = capture_->others_ != 0;
+    attached_.others = capture_->is_undecided();
     attached_.triangle_count = capture_->flattened_;
     if (ExchangeHeader* header = exchange()) store(header->embree_version, attached_.version);
   }
@@ -198,6 +206,7 @@ class Writer {
   std::shared_ptr<Capture> capture_;
   shim::Attached attached_;
   std::vector<ExchangePart> parts_;
+  std::vector<shim::Part> faces_;  // of triangles and quads, also of those that move
   std::uint64_t own_triangles_ = 0;
 };
 
@@ -227,22 +236,26 @@ std::uint32_t Capture::number() const noexcept {
   return number_;
 }
 
-std::uint32_t Capture::triangle(std::uint32_t instance, std::uint32_t geometry, std::uint32_t primitive, float u, float v,
-                                bool& second) const noexcept {
+Capture::Found Capture::triangle(std::uint32_t instance, std::uint32_t geometry, std::uint32_t primitive, float u,
+                                 float v) const noexcept {
+  constexpr Found none{shim::no_triangle, false, false};
   const Capture* capture = this;
   std::uint32_t first = 0;
+  bool moves = false;
   if (instance != RTC_INVALID_GEOMETRY_ID) {
-    if (instance >= places_.size() || places_[instance].instanced == nullptr) return shim::no_triangle;
+    if (instance >= places_.size() || places_[instance].instanced == nullptr) return none;
     capture = places_[instance].instanced;
     first = places_[instance].first_triangle;
+    moves = places_[instance].moves;
   }
-  if (geometry >= capture->places_.size()) return shim::no_triangle;
+  if (geometry >= capture->places_.size()) return none;
   const Place& place = capture->places_[geometry];
-  if (primitive >= place.primitives) return shim::no_triangle;
+  if (primitive >= place.primitives) return none;
   // See `place` in embree_intersector.cpp.
   const bool quad = place.kind == EXCHANGE_QUADS;
-  second = quad && u + v > 1.0f;
-  return first + place.first_triangle + (quad ? 2 * primitive + (second ? 1 : 0) : primitive);
+  const bool second = quad && u + v > 1.0f;
+  const std::uint32_t triangle = first + place.first_triangle + (quad ? 2 * primitive + (second ? 1 : 0) : primitive);
+  return {triangle, second, moves || place.moves};
 }
 
 }  // namespace preload

@@ -41,10 +41,10 @@ void note(Frame& frame, const RTCFilterFunctionNArguments& arguments, unsigned l
   const auto at = [&](unsigned field) { return reinterpret_cast<const float*>(arguments.hit) + field * arguments.N + lane; };
   // As Field counts, from the hit on.
   constexpr unsigned hit = 12;
-  bool second = false;
-  const std::uint32_t triangle = frame.capture->triangle(
-      value<std::uint32_t>(at, hit_instance - hit), value<std::uint32_t>(at, hit_geometry - hit),
-      value<std::uint32_t>(at, hit_primitive - hit), value<float>(at, hit_u - hit), value<float>(at, hit_v - hit), second);
+  const std::uint32_t triangle =
+      frame.capture->triangle(value<std::uint32_t>(at, hit_instance - hit), value<std::uint32_t>(at, hit_geometry - hit),
+                              value<std::uint32_t>(at, hit_primitive - hit), value<float>(at, hit_u - hit),
+                              value<float>(at, hit_v - hit)).triangle;
   // What is not a triangle is not replayed.
   if (triangle == shim::no_triangle) return;
   Thread& thread = *frame.thread;

@@ -42,6 +42,7 @@ class Capture {
   // What has a geomID.
   struct Place {
     std::uint32_t kind = EXCHANGE_OTHER;
+    bool moves = false;
     std::uint32_t first_triangle = 0;
     std::uint32_t primitives = 0;
     const Capture* instanced = nullptr;
@@ -52,13 +53,19 @@ class Capture {
   Capture(const Capture&) = delete;
   Capture& operator=(const Capture&) = delete;
 
-  // The index in TRIS, or no_triangle when it is not a triangle's hit. Of a quad, u and v say which half.
-  std::uint32_t triangle(std::uint32_t instance, std::uint32_t geometry, std::uint32_t primitive, float u, float v,
-                         bool& second) const noexcept;
+  // A hit's triangle.
+  struct Found {
+    std::uint32_t triangle;  // index in TRIS, or no_triangle when it is something else
+    bool second;             // the second half of a quad: u and v are to be turned
+    bool moves;
+  };
+
+  // Of a quad, u and v say which half.
+  Found triangle(std::uint32_t instance, std::uint32_t geometry, std::uint32_t primitive, float u, float v) const noexcept;
 
   std::uint32_t index() const noexcept { return index_; }
-  // Whether it holds geometries that are left out.
-  bool others() const noexcept { return others_ != 0; }
+  // Whether it holds geometries that are left out, or that move: then its triangles cannot decide an occlusion.
+  bool is_undecided() const noexcept { return others_ != 0 || moving_; }
   // Its number in the recording, given at the first call; EXCHANGE_SCENES when there is none left.
   std::uint32_t number() const noexcept;
 
@@ -70,6 +77,7 @@ class Capture {
   std::vector<std::shared_ptr<const Capture>> children_;
   std::uint64_t flattened_ = 0;
   std::uint32_t others_ = 0;
+  bool moving_ = false;
   mutable std::once_flag numbered_;
   mutable std::uint32_t number_ = EXCHANGE_SCENES;
 };

@@ -115,12 +115,12 @@ void record(Thread& thread, const Thread::Known& scene, bool closest, bool coher
       record.t = end;
       const auto u = value<float>(at, hit_u);
       const auto v = value<float>(at, hit_v);
-      bool second = false;
-      record.triangle = scene.capture->triangle(value<std::uint32_t>(at, hit_instance), geometry,
-                                                value<std::uint32_t>(at, hit_primitive), u, v, second);
-      record.u = second ? 1.0f - u : u;
-      record.v = second ? 1.0f - v : v;
-      if (record.triangle == shim::no_triangle) flags |= shim::flag_not_a_triangle;
+      const Capture::Found found = scene.capture->triangle(value<std::uint32_t>(at, hit_instance), geometry,
+                                                           value<std::uint32_t>(at, hit_primitive), u, v);
+      record.triangle = found.triangle;
+      record.u = found.second ? 1.0f - u : u;
+      record.v = found.second ? 1.0f - v : v;
+      if (found.triangle == shim::no_triangle || found.moves) flags |= shim::flag_undecided;
     }
   } else {
     record.kind = shim::kind_occlusion;
@@ -128,7 +128,7 @@ void record(Thread& thread, const Thread::Known& scene, bool closest, bool coher
       flags |= shim::flag_hit;
       record.t = -shim::infinity;
       // It is not known by what.
-      if (scene.capture->others()) flags |= shim::flag_not_a_triangle;
+      if (scene.capture->is_undecided()) flags |= shim::flag_undecided;
     }
   }
   if (reject_count != 0) flags |= shim::flag_has_rejects;

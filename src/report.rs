@@ -11,7 +11,7 @@ pub mod plot;
 pub mod table;
 mod time;
 
-use crate::compare::{Comparison, depth_name, kind_name};
+use crate::compare::{Comparison, RecordingResult, depth_name, kind_name};
 use crate::replay::tally::{GAMMA_UNITS, Tallies, Tally};
 
 /// One way of grouping queries, and one of its groups.
@@ -40,6 +40,22 @@ pub(crate) fn groups(tallies: &Tallies) -> Vec<Group<'_>> {
     tallies.by_depth.iter().for_each(|(depth, tally)| add("depth", depth_name(*depth), tally));
     tallies.by_purpose.iter().for_each(|(purpose, tally)| add("purpose", purpose.name().to_owned(), tally));
     groups
+}
+
+/// How many answers triangles cannot judge, and why; `None` when they can judge all.
+pub(crate) fn unjudged(recording: &RecordingResult) -> Option<String> {
+    let runs = || recording.trees.iter().flat_map(|tree| &tree.runs).map(|run| &run.outcome.tallies.total);
+    let most = |count: fn(&Tally) -> u64| runs().map(count).max().unwrap_or(0);
+    let reasons = [
+        (most(|tally| tally.moving), "met what moves"),
+        (most(|tally| tally.unchecked), "met what is not a triangle"),
+    ];
+    let said: Vec<String> = reasons
+        .iter()
+        .filter(|(count, _)| *count > 0)
+        .map(|(count, reason)| format!("{} that {reason}", grouped(*count)))
+        .collect();
+    (!said.is_empty()).then(|| said.join(", "))
 }
 
 /// `sum` per query; 0 without queries.

@@ -28,7 +28,8 @@ fn input(triangles: &[Triangle]) -> (tempfile::TempDir, PathBuf, PathBuf) {
         triangle_count,
         mask: 5,
         kind: 0,
-        reserved: [0; 2],
+        flags: 0,
+        reserved: 0,
     };
     let contents = Contents {
         tree: tree.view(),

@@ -205,7 +205,8 @@ fn masks_and_rejects_are_honoured() {
         triangle_count: count,
         mask,
         kind: 0,
-        reserved: [0; 2],
+        flags: 0,
+        reserved: 0,
     };
     // Out of order, and an empty one in between.
     let geometries = [geometry(half, half, 0b10), geometry(half, 0, 0), geometry(0, half, 0b01)];

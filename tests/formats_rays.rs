@@ -522,12 +522,18 @@ fn verify_finds_results_that_contradict_themselves() {
 
     let hit = record(1);
     let occlusion = Record { kind: kind::OCCLUSION, t: f32::NEG_INFINITY, triangle: NO_TRIANGLE, ..hit };
+    // A moving triangle, and something that is none.
+    let moving = Record { flags: hit.flags | flag::UNDECIDED, ..hit };
+    for right in [moving, Record { triangle: NO_TRIANGLE, ..moving }] {
+        let mut part = good.clone();
+        part[42] = right;
+        assert_eq!(verify(&write(&part, [0, 100], Codec::Raw)), Ok(()));
+    }
     let bad = [
         Record { t: f32::NAN, ..hit },
         Record { t: f32::INFINITY, ..hit },
         Record { triangle: NO_TRIANGLE, ..hit },
         Record { flags: 0, ..hit },
-        Record { flags: hit.flags | flag::NOT_A_TRIANGLE, ..hit },
         Record { flags: flag::HIT, ..record(3) },
         Record { t: 1.0, ..occlusion },
         Record { flags: 0, ..occlusion },

@@ -191,7 +191,8 @@ fn masks_and_rejects_are_those_of_each_query() {
         triangle_count: half,
         mask,
         kind: 0,
-        reserved: [0; 2],
+        flags: 0,
+        reserved: 0,
     };
     let geometries = [geometry(0, 0b01), geometry(half, 0b10)];
     let scratch = &mut Scratch::default();

@@ -32,6 +32,14 @@ fn host() -> &'static Path {
     path
 }
 
+/// Replayed queries, those that are not judged as they hit no triangle, and those that are not because something moved.
+#[derive(Debug, Default, PartialEq)]
+struct Judged {
+    queries: u64,
+    unchecked: u64,
+    moving: u64,
+}
+
 /// A recorded run of a program.
 struct Run {
     directory: TempDir,
@@ -80,8 +88,8 @@ impl Run {
             .collect()
     }
 
-    /// Checks both files whole, and replays every scene over its tree: queries, unchecked ones. Nothing may disagree.
-    fn replayed(&self) -> (u64, u64) {
+    /// Checks both files whole, and replays every scene over its tree. Nothing may disagree.
+    fn replayed(&self) -> Judged {
         let file = self.rays();
         let rays = Rays::parse(&file).unwrap();
         rays.validate_all().unwrap();
@@ -92,7 +100,7 @@ impl Run {
             assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
             output.stdout
         };
-        let (mut queries, mut unchecked) = (0, 0);
+        let mut judged = Judged::default();
         for number in 0..self.trees().len() {
             let (tree, scene) = (tree_name(number), number.to_string());
             good(env!("CARGO_BIN_EXE_trace-info"), &[&tree, "--verify"]);
@@ -103,12 +111,14 @@ impl Run {
             );
             let compared: serde_json::Value = serde_json::from_slice(&compared).unwrap();
             let counts = &compared["trees"][0]["traversals"]["odf"];
-            queries += counts["queries"].as_u64().unwrap();
-            unchecked += counts["unchecked"].as_u64().unwrap();
+            let count = |name: &str| counts[name].as_u64().unwrap();
+            judged.queries += count("queries");
+            judged.unchecked += count("unchecked");
+            judged.moving += count("moving");
         }
         good(env!("CARGO_BIN_EXE_trace-info"), &["casts.rays", "--verify"]);
-        assert_eq!(queries, rays.query_count(), "every scene has its tree");
-        (queries, unchecked)
+        assert_eq!(judged.queries, rays.query_count(), "every scene has its tree");
+        judged
     }
 
     /// The records of each thread, in its order, with the fields that a program sees of them as `host.cpp` prints them.
@@ -157,11 +167,14 @@ fn unrecorded(what: &str) -> Vec<u8> {
 /// The program sees what it saw before, and that is recorded, in every form of a query and over every kind of tree.
 #[test]
 fn what_a_program_sees_is_recorded() {
-    for what in ["plain", "robust", "splits", "packets", "streams", "coherent", "instances", "commits"] {
+    for what in
+        ["plain", "robust", "splits", "packets", "streams", "coherent", "instances", "commits", "motion"]
+    {
         let run = Run::of_host(&[], what);
         assert!(run.output.stdout == unrecorded(what), "{what}");
-        let (queries, unchecked) = run.replayed();
+        let Judged { queries, unchecked, moving } = run.replayed();
         assert!(queries > 5000 && unchecked == 0, "{what}");
+        assert_eq!(moving > 0, what.starts_with("motion"), "{what}");
         let seen = run.seen();
         assert_eq!(seen.len(), 1, "{what}");
         // A thread's chunks are by scene, so several scenes are not in the order of time; here each comes after the last.
@@ -175,7 +188,7 @@ fn rejects_of_filters() {
     for what in ["filters", "context-filter", "stream-filters", "coherent-filters"] {
         let run = Run::of_host(&[], what);
         assert!(run.output.stdout == unrecorded(what), "{what}");
-        assert_eq!(run.replayed().1, 0, "{what}");
+        assert_eq!(run.replayed().unchecked, 0, "{what}");
         assert!(run.seen()[&0] == lines(&run.output.stdout), "{what}");
         let file = run.rays();
         let rays = Rays::parse(&file).unwrap();
@@ -217,11 +230,56 @@ fn scenes_are_as_committed() {
     assert_eq!([scene(2), scene(3)], [[1, 2, 2000, 388], [2, 0, 1000, 72]]);
 }
 
+/// What moves is recorded as it is when the shutter opens: asked at that time, Embree finds what brute force finds among the
+/// recorded triangles; asked later, it does not.
+#[test]
+fn motion_at_its_first_step() {
+    // Queries that found something that moves, and those of them that brute force agrees with; the same for what does not move.
+    let agreeing = |what: &str| {
+        let run = Run::of_host(&["--format", "json"], what);
+        let report: serde_json::Value = serde_json::from_str(&run.said()).unwrap();
+        assert_eq!(
+            report["scenes"][0]["moving"], 5,
+            "triangles, two of an instance, those that move in another"
+        );
+        assert_eq!(report["warnings"].as_array().unwrap().len(), 0);
+        let (file, trees) = (run.rays(), run.trees());
+        let (rays, tree) = (Rays::parse(&file).unwrap(), Bvh::parse(&trees[0]).unwrap());
+        // Embree's tree beside ours.
+        assert!(tree.header.producer.starts_with("binned + embree"), "{}", tree.header.producer);
+        let moving: Vec<u32> = tree
+            .geometries
+            .iter()
+            .filter(|g| g.flags & bvh::geometry_flag::MOVING != 0)
+            .flat_map(|g| g.first_triangle..g.first_triangle + g.triangle_count)
+            .collect();
+        let (mut moved, mut still) = ([0, 0], [0, 0]);
+        for chunk in 0..rays.chunks().len() {
+            let chunk = rays.chunk(chunk).unwrap();
+            for record in chunk.records.iter().filter(|r| r.is_hit() && !r.is_occlusion()) {
+                let moves = moving.contains(&record.triangle);
+                assert_eq!(record.flags & flag::UNDECIDED != 0, moves);
+                let counts = if moves { &mut moved } else { &mut still };
+                let t = distance(record, &tree.triangles[record.triangle as usize]);
+                counts[0] += 1;
+                counts[1] += u64::from((t - f64::from(record.t)).abs() < 1e-4);
+            }
+        }
+        (moved, still)
+    };
+    let (moved, still) = agreeing("motion-open");
+    assert!(moved[0] > 300 && still[0] > 300, "{moved:?} {still:?}");
+    assert_eq!((moved[0], still[0]), (moved[1], still[1]));
+    let (moved, still) = agreeing("motion");
+    assert_eq!(still[0], still[1]);
+    assert!(moved[0] > 300 && moved[1] < moved[0] / 10, "{moved:?}");
+}
+
 /// Threads that come and go, more than there are slots, and a fork that ends without destructors.
 #[test]
 fn threads_and_forks() {
     let run = Run::of_host(&[], "threads");
-    assert_eq!(run.replayed().0, 8 * 40 * 4000);
+    assert_eq!(run.replayed().queries, 8 * 40 * 4000);
     let first = Run::of_host(&[], "plain").seen()[&0].iter().step_by(2).cloned().collect::<Vec<_>>();
     let seen = run.seen();
     assert_eq!(seen.len(), 320);
@@ -229,7 +287,7 @@ fn threads_and_forks() {
 
     let run = Run::new(&[], host(), &["fork"]);
     assert_eq!(run.output.status.code(), Some(7), "the program's own exit code");
-    assert_eq!(run.replayed().0, 3 * 8000);
+    assert_eq!(run.replayed().queries, 3 * 8000);
     assert_eq!(run.seen().values().map(Vec::len).collect::<Vec<_>>(), [16_000, 8000]);
 }
 
@@ -239,7 +297,7 @@ fn a_killed_program() {
     let run = Run::new(&[], host(), &["kill"]);
     assert_eq!(run.output.status.code(), Some(128 + 9));
     assert!(run.said().contains("signal 9"), "{}", run.said());
-    assert_eq!(run.replayed().0, 8000);
+    assert_eq!(run.replayed().queries, 8000);
     assert!(run.seen()[&0] == lines(&run.output.stdout));
     // Nothing is left beside the recording.
     assert_eq!(std::fs::read_dir(run.directory.path()).unwrap().count(), 2);
@@ -376,9 +434,10 @@ fn tutorials_of_embree() {
         let bytes = |name: &str| std::fs::read(run.path(name)).unwrap();
         assert!(bytes("recorded.ppm") == bytes("plain.ppm"), "{program}: another picture");
 
-        let (queries, unchecked) = run.replayed();
+        let Judged { queries, unchecked, moving } = run.replayed();
+        assert_eq!(moving > 0, program == "motion_blur_geometry", "{program}");
         assert!(queries >= 64 * 64, "{program}: {queries}");
-        assert_eq!(unchecked > 0, others, "{program}");
+        assert_eq!(unchecked + moving > 0, others, "{program}");
         assert_eq!(run.said().contains("left out of the tree"), others, "{program}: {}", run.said());
         let (mut cameras, mut rejected) = (0, 0);
         let file = run.rays();
@@ -402,7 +461,7 @@ fn the_mask_of_open3d() {
     let run = Run::new(&[], Path::new("/usr/bin/python3"), &[script.to_str().unwrap()]);
     assert!(run.output.status.success(), "python3-open3d and python3-numpy, see tools/setup: {}", run.said());
     assert_eq!(String::from_utf8_lossy(&run.output.stdout), "0 of 4096 rays hit\n");
-    assert_eq!(run.replayed(), (4096, 0));
+    assert_eq!(run.replayed(), Judged { queries: 4096, ..Judged::default() });
 
     let (file, trees) = (run.rays(), run.trees());
     let rays = Rays::parse(&file).unwrap();
@@ -424,4 +483,17 @@ fn passes(record: &Record, triangle: &Triangle) -> bool {
     let [a, b, c] = triangle.0.map(|vertex| vertex.as_dvec3() - o);
     let signs = [a.cross(b).dot(d), b.cross(c).dot(d), c.cross(a).dot(d)];
     signs.iter().all(|&s| s >= 0.0) || signs.iter().all(|&s| s <= 0.0)
+}
+
+/// Where the ray meets the triangle's plane, in double precision; NaN when that is outside of the triangle by more than rounding.
+fn distance(record: &Record, triangle: &Triangle) -> f64 {
+    let (o, d) = (record.origin.as_dvec3(), record.direction.as_dvec3());
+    let [a, b, c] = triangle.0.map(|vertex| vertex.as_dvec3());
+    let normal = (b - a).cross(c - a);
+    let t = (a - o).dot(normal) / d.dot(normal);
+    let p = o + d * t;
+    let inside = [(a, b), (b, c), (c, a)]
+        .iter()
+        .all(|(from, to)| (*to - *from).cross(p - *from).dot(normal) >= -1e-4 * normal.length_squared());
+    if inside { t } else { f64::NAN }
 }

@@ -175,7 +175,8 @@ pub(super) fn geometries(mesh: &crate::mesh::Mesh, mask: u32) -> Vec<Geometry> {
                 triangle_count,
                 mask,
                 kind: (part.faces == crate::mesh::Faces::Quads) as u32,
-                reserved: [0; 2],
+                flags: 0,
+                reserved: 0,
             };
             first_triangle += triangle_count;
             geometry

@@ -43,7 +43,8 @@ fn trace(tree: &Tree, triangles: &[Triangle], rays: &[Ray], path: &Path) -> Resu
         triangle_count: triangles.len() as u32,
         mask: u32::MAX,
         kind: 0,
-        reserved: [0; 2],
+        flags: 0,
+        reserved: 0,
     };
     let contents = Contents {
         tree: tree.view(),

@@ -39,6 +39,12 @@ pub mod geometry_kind {
     pub const QUADS: u32 = 1;
 }
 
+/// Bits of [`Geometry::flags`].
+pub mod geometry_flag {
+    /// It has several time steps, or its instance has: its triangles are those of the first one.
+    pub const MOVING: u32 = 1;
+}
+
 /// Where one Embree geometry's triangles are: the element of `GEOM`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
 #[repr(C)]
@@ -53,5 +59,7 @@ pub struct Geometry {
     pub mask: u32,
     /// 0 triangles, 1 quads (two triangles each).
     pub kind: u32,
-    pub reserved: [u32; 2],
+    /// Bits of [`geometry_flag`].
+    pub flags: u32,
+    pub reserved: u32,
 }

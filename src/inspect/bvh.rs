@@ -3,7 +3,7 @@
 use super::histogram::{Bin, Histogram, by_number};
 use super::text::{self, grouped};
 use crate::format::FormatError;
-use crate::format::bvh::{Bvh, NO_INSTANCE, Verified, flag, geometry_kind};
+use crate::format::bvh::{Bvh, NO_INSTANCE, Verified, flag, geometry_flag, geometry_kind};
 use crate::geometry::Aabb;
 use crate::tree::statistics::sah_cost;
 use serde::Serialize;
@@ -164,10 +164,17 @@ fn sections(bvh: &Bvh) -> Vec<Section> {
 }
 
 fn geometry(geometry: &crate::format::bvh::Geometry) -> Geometry {
+    let (quads, moving) =
+        (geometry.kind == geometry_kind::QUADS, geometry.flags & geometry_flag::MOVING != 0);
     Geometry {
         instance: Some(geometry.instance).filter(|&instance| instance != NO_INSTANCE),
         geometry: geometry.geometry,
-        kind: if geometry.kind == geometry_kind::QUADS { "quads" } else { "triangles" },
+        kind: match (quads, moving) {
+            (false, false) => "triangles",
+            (true, false) => "quads",
+            (false, true) => "moving triangles",
+            (true, true) => "moving quads",
+        },
         first_triangle: geometry.first_triangle,
         triangle_count: geometry.triangle_count,
         mask: geometry.mask,

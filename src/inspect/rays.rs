@@ -114,8 +114,8 @@ pub struct Summary {
     /// Candidate hits that filters refused, and the most of one query.
     pub rejects: u64,
     pub most_rejects: u32,
-    /// Hits of something that is not a triangle.
-    pub not_triangles: u64,
+    /// Hits that triangles cannot decide: of something that is none, or that moves.
+    pub undecided: u64,
     pub chunks: Chunks,
     pub by_kind: Groups,
     pub by_purpose: Groups,
@@ -143,7 +143,7 @@ struct Counts {
     by_thread: BTreeMap<u32, Tally>,
     rejects: u64,
     most_rejects: u32,
-    not_triangles: u64,
+    undecided: u64,
     /// Directions of length 1 up to rounding, and the lengths of the others.
     normalised: u64,
     direction: PowersOfTwo,
@@ -162,7 +162,7 @@ impl Counts {
             by_thread: BTreeMap::new(),
             rejects: 0,
             most_rejects: 0,
-            not_triangles: 0,
+            undecided: 0,
             normalised: 0,
             direction: PowersOfTwo::default(),
             segment: PowersOfTwo::default(),
@@ -178,7 +178,7 @@ impl Counts {
             self.by_kind[usize::from(record.kind == kind::OCCLUSION)].add(record);
             self.by_purpose[Purpose::from_byte(record.purpose) as usize].add(record);
             self.by_depth[usize::from(record.depth)].add(record);
-            self.not_triangles += u64::from(record.flags & flag::NOT_A_TRIANGLE != 0);
+            self.undecided += u64::from(record.flags & flag::UNDECIDED != 0);
 
             let length = record.direction.length();
             let segment = record.effective_segment();
@@ -215,7 +215,7 @@ impl Counts {
         }
         self.rejects += other.rejects;
         self.most_rejects = self.most_rejects.max(other.most_rejects);
-        self.not_triangles += other.not_triangles;
+        self.undecided += other.undecided;
         self.normalised += other.normalised;
         self.direction.merge(&other.direction);
         self.segment.merge(&other.segment);
@@ -267,7 +267,7 @@ impl Summary {
             },
             rejects: counts.rejects,
             most_rejects: counts.most_rejects,
-            not_triangles: counts.not_triangles,
+            undecided: counts.undecided,
             chunks: Chunks::of(rays),
             by_kind: groups(["closest_hit", "occlusion"].iter().zip(counts.by_kind)),
             by_purpose: groups(Purpose::ALL.iter().map(|purpose| purpose.name()).zip(counts.by_purpose)),
@@ -392,7 +392,7 @@ impl fmt::Display for Summary {
         text::line(f, "queries", grouped(self.queries))?;
         text::line(f, "hits", share(self.total.hits, self.queries))?;
         text::line(f, "coherent", share(self.total.coherent, self.queries))?;
-        text::line(f, "not triangles", share(self.not_triangles, self.queries))?;
+        text::line(f, "undecided", share(self.undecided, self.queries))?;
         let most = grouped(self.most_rejects.into());
         let with = share(self.total.with_rejects, self.queries);
         text::line(f, "rejects", format!("{}, of {with} queries, at most {most}", grouped(self.rejects)))?;

@@ -37,6 +37,8 @@ pub enum Verdict {
     Mismatch,
     /// The recorded program hit something that is not a triangle; triangles cannot tell.
     Unchecked,
+    /// The recorded program or the replay hit something that moves, and nothing that stands still says otherwise.
+    Moving,
 }
 
 /// What double precision says of one ray and one triangle.
@@ -66,9 +68,15 @@ impl Judge<'_> {
         answer: Option<Hit>,
         candidates: &impl Candidates,
     ) -> Verdict {
+        let undecided = record.is_hit() && record.flags & flag::UNDECIDED != 0;
+        let recorded_moves = undecided
+            && if record.is_occlusion() { self.masks.any_moves() } else { self.masks.moves(record.triangle) };
+        if recorded_moves || answer.is_some_and(|hit| self.masks.moves(hit.triangle)) {
+            return self.standing(record, ray, undecided, candidates);
+        }
         if record.is_occlusion() {
             return match (record.is_hit(), answer.is_some()) {
-                (true, _) if record.flags & flag::NOT_A_TRIANGLE != 0 => Verdict::Unchecked,
+                _ if undecided => Verdict::Unchecked,
                 (recorded, found) if recorded == found => Verdict::Agrees,
                 _ => self.occlusion(ray, candidates),
             };
@@ -76,6 +84,29 @@ impl Judge<'_> {
         let recorded = (record.is_hit() && record.triangle != NO_TRIANGLE)
             .then_some(Hit { t: record.t, triangle: record.triangle });
         self.closest(ray, recorded, answer)
+    }
+
+    /// A query whose answer, or ours, moves. Where that was at the query's time is not known; but what stands still must not be
+    /// hit before the recorded answer.
+    fn standing(&self, record: &Record, ray: &Ray, undecided: bool, candidates: &impl Candidates) -> Verdict {
+        if record.is_occlusion() && record.is_hit() {
+            // Anything may have occluded it.
+            return Verdict::Moving;
+        }
+        let mut ray = *ray;
+        if record.is_hit() {
+            let recorded = Hit { t: record.t, triangle: record.triangle };
+            let missed = |exact: Exact| exact.truth == Truth::Miss || !exact.can_be(recorded.t);
+            if !undecided && self.exact(&ray, recorded).is_none_or(missed) {
+                return Verdict::Mismatch;
+            }
+            // Not quite to it: what is hit at the same t is another answer.
+            ray.tfar = ray.tfar.min(record.t * (1.0 - T_TOLERANCE as f32));
+        }
+        if self.find(&ray, &Still { candidates, masks: &self.masks }) == Truth::Hit {
+            return Verdict::Mismatch;
+        }
+        Verdict::Moving
     }
 
     fn closest(&self, ray: &Ray, recorded: Option<Hit>, found: Option<Hit>) -> Verdict {
@@ -112,17 +143,22 @@ impl Judge<'_> {
 
     /// The same triangle at distances that differ: borderline when rounding can do that to both.
     fn imprecise(&self, ray: &Ray, a: Hit, b: Hit) -> Verdict {
-        let possible = |hit: Hit, exact: &Exact| {
-            (f64::from(hit.t) - exact.t).abs() <= exact.t_error.max(T_TOLERANCE * exact.t.abs())
-        };
         match self.exact(ray, a) {
-            Some(exact) if possible(a, &exact) && possible(b, &exact) => Verdict::Borderline,
+            Some(exact) if exact.can_be(a.t) && exact.can_be(b.t) => Verdict::Borderline,
             _ => Verdict::Mismatch,
         }
     }
 
     /// One says occluded, the other not: borderline when something grazes and nothing is clearly hit.
     fn occlusion(&self, ray: &Ray, candidates: &impl Candidates) -> Verdict {
+        match self.find(ray, candidates) {
+            Truth::Graze => Verdict::Borderline,
+            Truth::Hit | Truth::Miss => Verdict::Mismatch,
+        }
+    }
+
+    /// A clear hit of any candidate, or else a graze.
+    fn find(&self, ray: &Ray, candidates: &impl Candidates) -> Truth {
         let mut grazes = false;
         let mut stack = vec![0u32];
         while let Some(index) = stack.pop() {
@@ -141,18 +177,30 @@ impl Judge<'_> {
                     continue;
                 }
                 match exact(ray, &vertices, self.flattened).truth {
-                    Truth::Hit => return Verdict::Mismatch,
+                    Truth::Hit => return Truth::Hit,
                     Truth::Graze => grazes = true,
                     Truth::Miss => {}
                 }
             }
         }
-        if grazes { Verdict::Borderline } else { Verdict::Mismatch }
+        if grazes { Truth::Graze } else { Truth::Miss }
     }
 
     /// None when the recorded triangle does not exist.
     fn exact(&self, ray: &Ray, hit: Hit) -> Option<Exact> {
         self.triangles.get(hit.triangle as usize).map(|triangle| exact(ray, triangle, self.flattened))
+    }
+}
+
+/// Candidates that do not move.
+struct Still<'a, C> {
+    candidates: &'a C,
+    masks: &'a Masks<'a>,
+}
+
+impl<C: Candidates> Candidates for Still<'_, C> {
+    fn accepts(&self, triangle: &PreparedTriangle) -> bool {
+        !self.masks.moves(triangle.index) && self.candidates.accepts(triangle)
     }
 }
 
@@ -170,6 +218,13 @@ struct Exact {
     t: f64,
     /// How far single precision may be off; infinite when the ray lies in the plane.
     t_error: f64,
+}
+
+impl Exact {
+    /// Whether rounding can make this distance of it.
+    fn can_be(&self, t: f32) -> bool {
+        (f64::from(t) - self.t).abs() <= self.t_error.max(T_TOLERANCE * self.t.abs())
+    }
 }
 
 /// Möller and Trumbore's values in double precision, each with the error that single precision may make in it.
@@ -242,6 +297,7 @@ fn near(ray: &Ray, bounds: &Aabb) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::format::bvh::{Geometry, geometry_flag};
     use crate::format::rays::kind;
     use crate::geometry::Vec3;
     use crate::traverse::All;
@@ -250,12 +306,20 @@ mod tests {
 
     /// The triangle (0,0) (1,0) (0,1) in the plane z = 0, and its copy at z = 1e-5.
     fn judged(record: Record, answer: Option<Hit>) -> Verdict {
+        judged_among(&[], record, answer)
+    }
+
+    fn judged_among(geometries: &[Geometry], record: Record, answer: Option<Hit>) -> Verdict {
         let at = |z: f32| Triangle([Vec3::new(0.0, 0.0, z), Vec3::new(1.0, 0.0, z), Vec3::new(0.0, 1.0, z)]);
         let triangles = [at(0.0), at(1e-5), at(0.5)];
         let bounds = triangles.iter().fold(Aabb::EMPTY, |all, t| all.union(&t.bounds()));
         let tree = Tree { nodes: vec![Node::leaf(bounds, 0, 3)], primitives: vec![0, 1, 2] };
-        let judge =
-            Judge { tree: tree.view(), triangles: &triangles, masks: Masks::new(&[]), flattened: false };
+        let judge = Judge {
+            tree: tree.view(),
+            triangles: &triangles,
+            masks: Masks::new(geometries),
+            flattened: false,
+        };
         judge.judge(&record, &record.ray(), answer, &All)
     }
 
@@ -357,7 +421,53 @@ mod tests {
         assert_eq!(occlusion(-1e-7, true, None), Verdict::Borderline);
         assert_eq!(occlusion(-1e-7, false, hit(0.5, 2)), Verdict::Borderline);
         let mut curve = record(5.0, 0.25, kind::OCCLUSION, Some((f32::NEG_INFINITY, NO_TRIANGLE)));
-        curve.flags |= flag::NOT_A_TRIANGLE;
+        curve.flags |= flag::UNDECIDED;
         assert_eq!(judged(curve, None), Verdict::Unchecked);
+    }
+
+    /// The triangle at z = 0.5 moves, those at 0 and 1e-5 stand still.
+    #[test]
+    fn what_moves_is_not_judged_and_what_stands_still_is() {
+        let moving = [Geometry {
+            first_triangle: 2,
+            triangle_count: 1,
+            mask: u32::MAX,
+            flags: geometry_flag::MOVING,
+            ..Geometry::zeroed()
+        }];
+        let closest = |recorded: Option<(f32, u32)>, found| {
+            let mut record = record(0.25, 0.25, kind::CLOSEST_HIT, recorded);
+            // As a recorder flags it.
+            record.flags |=
+                if recorded.is_some_and(|(_, triangle)| triangle == 2) { flag::UNDECIDED } else { 0 };
+            judged_among(&moving, record, found)
+        };
+        // It was elsewhere at the query's time, and then before what stands still.
+        assert_eq!(closest(Some((0.3, 2)), None), Verdict::Moving);
+        assert_eq!(closest(Some((0.5, 2)), hit(0.5, 2)), Verdict::Moving);
+        // It was out of the way then; the answer beyond it is the right one of those that stand still.
+        assert_eq!(closest(Some((0.99999, 1)), hit(0.5, 2)), Verdict::Moving);
+        assert_eq!(closest(Some((1.0, 0)), hit(0.5, 2)), Verdict::Moving);
+        // What stands still would have been hit, or is not where it was recorded.
+        assert_eq!(closest(None, hit(0.5, 2)), Verdict::Mismatch);
+        assert_eq!(closest(Some((1.5, 2)), hit(0.5, 2)), Verdict::Mismatch);
+        assert_eq!(closest(Some((0.7, 0)), hit(0.5, 2)), Verdict::Mismatch);
+        // Nothing moves here.
+        assert_eq!(closest(Some((1.0, 0)), hit(1.0, 0)), Verdict::Agrees);
+        assert_eq!(closest(Some((1.0, 0)), None), Verdict::Mismatch);
+        assert_eq!(closest(None, hit(1.0, 0)), Verdict::Mismatch);
+
+        let occlusion = |x: f32, tfar: f32, recorded: bool, found| {
+            let hit = recorded.then_some((f32::NEG_INFINITY, NO_TRIANGLE));
+            let mut record = Record { tfar, ..record(x, 0.25, kind::OCCLUSION, hit) };
+            record.flags |= if recorded { flag::UNDECIDED } else { 0 };
+            judged_among(&moving, record, found)
+        };
+        assert_eq!(occlusion(5.0, 9.0, true, None), Verdict::Moving);
+        assert_eq!(occlusion(0.25, 9.0, true, hit(1.0, 0)), Verdict::Moving);
+        assert_eq!(occlusion(0.25, 0.8, false, hit(0.5, 2)), Verdict::Moving);
+        assert_eq!(occlusion(0.25, 9.0, false, hit(0.5, 2)), Verdict::Mismatch);
+        assert_eq!(occlusion(0.25, 9.0, false, hit(1.0, 0)), Verdict::Mismatch);
+        assert_eq!(occlusion(5.0, 9.0, false, None), Verdict::Agrees);
     }
 }

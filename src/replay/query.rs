@@ -69,7 +69,7 @@ impl Choice {
         };
         let mut ray = record.ray();
         // Something that is not a triangle ended the ray: no triangle is hit before it.
-        if record.flags & flag::NOT_A_TRIANGLE != 0 && record.is_hit() && !record.is_occlusion() {
+        if record.flags & flag::UNDECIDED != 0 && record.is_hit() && !record.is_occlusion() {
             ray.tfar = ray.tfar.min(record.t);
         }
         Some(Query { number, record, ray, candidates: Recorded { mask: record.mask, rejects } })

@@ -113,6 +113,8 @@ pub struct Tally {
     pub borderline: u64,
     /// Answers that triangles cannot decide: the recorded program hit something else.
     pub unchecked: u64,
+    /// Answers that cannot be judged, because what was hit moves.
+    pub moving: u64,
     /// Terms of T_R and Γ_R; zero when they were not asked for.
     pub overlap: Overlap,
     /// Σ over queries of the square of the leaves overlapped.
@@ -156,6 +158,7 @@ impl Tally {
             Verdict::Borderline => self.borderline += 1,
             Verdict::Mismatch => self.mismatches += 1,
             Verdict::Unchecked => self.unchecked += 1,
+            Verdict::Moving => self.moving += 1,
         }
         self.overlap += query.overlap;
         self.leaves_squared += u128::from(query.overlap.leaves).pow(2);
@@ -172,6 +175,7 @@ impl Tally {
         self.mismatches += other.mismatches;
         self.borderline += other.borderline;
         self.unchecked += other.unchecked;
+        self.moving += other.moving;
         self.overlap += other.overlap;
         self.leaves_squared += other.leaves_squared;
         self.packets += other.packets;
@@ -272,8 +276,13 @@ mod tests {
         let query = |n: u64| Replayed {
             hit: n.is_multiple_of(2),
             counts: Counts { box_tests: n, node_visits: n / 2, primitive_tests: 3 },
-            verdict: [Verdict::Agrees, Verdict::Borderline, Verdict::Mismatch, Verdict::Unchecked]
-                [n as usize % 4],
+            verdict: [
+                Verdict::Agrees,
+                Verdict::Borderline,
+                Verdict::Mismatch,
+                Verdict::Unchecked,
+                Verdict::Moving,
+            ][n as usize % 5],
             overlap: Overlap { inner: n, children: 2 * n, leaves: n, primitives: 1 },
             gamma: 16 * n,
         };
@@ -290,7 +299,8 @@ mod tests {
         assert_eq!(format!("{merged:?}"), format!("{whole:?}"));
         assert_eq!(merged.total.queries, 100);
         assert_eq!(merged.total.counts.box_tests, 4950);
-        assert_eq!((merged.total.mismatches, merged.total.borderline, merged.total.unchecked), (25, 25, 25));
+        let Tally { mismatches, borderline, unchecked, moving, .. } = merged.total;
+        assert_eq!((mismatches, borderline, unchecked, moving), (20, 20, 20, 20));
         assert_eq!(merged.by_purpose[&Purpose::Shadow].queries, 50);
         assert_eq!(merged.total.packets.early_hits, 4950);
         assert_eq!(merged.total.seconds, 50.0);

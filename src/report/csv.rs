@@ -6,7 +6,7 @@ use crate::traverse::Decisions;
 use std::fmt::Write;
 
 const COLUMNS: &str = "path,nodes,leaves,depth,max_children,sah_cost,t_r,tree_gamma,traversal,group,name,queries,box_tests,\
-                       node_visits,primitive_tests,mismatches,borderline,seconds,gamma,box_tests_mean,box_tests_median,\
+                       node_visits,primitive_tests,mismatches,borderline,unchecked,moving,seconds,gamma,box_tests_mean,box_tests_median,\
                        box_tests_p99,node_visits_mean,node_visits_median,node_visits_p99,primitive_tests_mean,\
                        primitive_tests_median,primitive_tests_p99,gamma_median,gamma_p99,epo,leaf_count_variability,\
                        early_hits,early_misses,by_rays,few,octets,rays";
@@ -36,7 +36,7 @@ pub fn render(comparison: &Comparison) -> String {
                 // Writing to a String cannot fail.
                 let _ = write!(
                     text,
-                    "{own},{},{},{},{},{},{},{},{},{},{},{}",
+                    "{own},{},{},{},{},{},{},{},{},{},{},{},{},{}",
                     run.traversal.key(),
                     group.by,
                     group.name,
@@ -46,6 +46,8 @@ pub fn render(comparison: &Comparison) -> String {
                     counts.primitive_tests,
                     tally.mismatches,
                     tally.borderline,
+                    tally.unchecked,
+                    tally.moving,
                     tally.seconds,
                     costs.gamma(counts),
                 );

@@ -136,6 +136,7 @@ fn sentence(comparison: &Comparison, recording: &RecordingResult, names: &[Strin
     let runs = || recording.trees.iter().flat_map(|tree| &tree.runs).map(|run| &run.outcome.tallies.total);
     let wrong: u64 = runs().map(|total| total.mismatches).sum();
     let borderline = runs().map(|total| total.borderline).max().unwrap_or(0);
+    let unjudged = super::unjudged(recording);
     html! {
         @if comparison.recordings.len() > 1 { h3 { (plots::recording_name(recording)) } }
         @if names.len() == 1 {
@@ -146,8 +147,9 @@ fn sentence(comparison: &Comparison, recording: &RecordingResult, names: &[Strin
             (super::grouped(total(0).queries)) " queries of " code { (recording.path) } ", over "
             (names.len()) @if names.len() == 1 { " tree" } @else { " trees" } " in "
             (comparison.settings.traversals.iter().map(|t| t.name()).collect::<Vec<_>>().join(" and ")) ". "
-            @if wrong == 0 { "Every answer agrees with the recorded one" } @else { span.wrong { (super::grouped(wrong)) " wrong answers" } }
+            @if wrong == 0 { "Every answer " @if unjudged.is_some() { "that can be judged " } "agrees with the recorded one" } @else { span.wrong { (super::grouped(wrong)) " wrong answers" } }
             @if borderline > 0 { "; " (super::grouped(borderline)) " at most graze an edge or a plane, so that two answers are right" }
+            @if let Some(unjudged) = &unjudged { "; not judged: " (unjudged) }
             "."
         }
     }

@@ -102,7 +102,10 @@ struct Group {
     primitive_tests: u64,
     mismatches: u64,
     borderline: u64,
+    /// Not judged: what was hit is not a triangle.
     unchecked: u64,
+    /// Not judged: what was hit moves.
+    moving: u64,
     seconds: f64,
     /// c_i · box tests + c_p · primitive tests, as measured.
     gamma: f64,
@@ -271,6 +274,7 @@ fn group_of(costs: &Costs, tally: &Tally, first: Option<&Tally>) -> Group {
         mismatches: tally.mismatches,
         borderline: tally.borderline,
         unchecked: tally.unchecked,
+        moving: tally.moving,
         seconds: tally.seconds,
         gamma,
         gamma_ratio: first.map(|first| relative(gamma, costs.gamma(&first.counts))),

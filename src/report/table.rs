@@ -1,6 +1,6 @@
 //! A comparison for people: a summary, the trees, and where the queries' costs come from, each within 100 columns.
 
-use super::{grouped, groups, mean, packets, time, tree_names};
+use super::{grouped, groups, mean, packets, time, tree_names, unjudged};
 use crate::compare::{Comparison, RecordingResult, explained, relative};
 use crate::traverse::Counts;
 use comfy_table::presets::UTF8_BORDERS_ONLY;
@@ -35,6 +35,9 @@ pub fn render(comparison: &Comparison, details: bool) -> String {
 
 fn block(comparison: &Comparison, recording: &RecordingResult, names: &[String], details: bool) -> String {
     let mut text = format!("Cost per query\n{}\n", summary(comparison, recording, names));
+    if let Some(unjudged) = unjudged(recording) {
+        text += &format!("not judged: {unjudged}\n");
+    }
     text += &format!("\nTrees\n{}\n", trees(comparison, recording, names));
     if let Some(size) = comparison.settings.packet {
         text +=

@@ -18,7 +18,8 @@ pub fn geometries(triangles: &[Triangle]) -> [Geometry; 2] {
         triangle_count,
         mask,
         kind: 0,
-        reserved: [0; 2],
+        flags: 0,
+        reserved: 0,
     };
     [geometry(0, 0, half, 1), geometry(1, half, triangles.len() as u32 - half, 2)]
 }

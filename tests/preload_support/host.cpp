@@ -83,6 +83,34 @@ RTCGeometry instance(RTCScene scene, float x, float scale) {
   return geometry;
 }
 
+// Triangles that go from one grid to another, in three steps of time.
+RTCGeometry moving_triangles(const Grid& first, const Grid& last) {
+  RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
+  rtcSetGeometryTimeStepCount(geometry, 3);
+  // The last one first: a slot is not a turn.
+  for (const unsigned step : {2u, 0u, 1u}) {
+    const Grid& grid = step == 0 ? first : last;
+    rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, step, RTC_FORMAT_FLOAT3, grid.vertices.data(), 4,
+                               sizeof(Vertex), grid.vertices.size() - 1);
+  }
+  rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, first.indices.data(), 4, 16,
+                             first.indices.size() / 4);
+  rtcCommitGeometry(geometry);
+  return geometry;
+}
+
+RTCGeometry moving_instance(RTCScene scene, float x, float last_x) {
+  RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_INSTANCE);
+  rtcSetGeometryInstancedScene(geometry, scene);
+  rtcSetGeometryTimeStepCount(geometry, 2);
+  for (unsigned step = 0; step < 2; step++) {
+    const float transform[12] = {0.5f, 0, 0.1f, step == 0 ? x : last_x, 0, 0.5f, 0, 0.3f, 0.1f * step, 0, 0.5f, 1.2f};
+    rtcSetGeometryTransform(geometry, step, RTC_FORMAT_FLOAT3X4_ROW_MAJOR, transform);
+  }
+  rtcCommitGeometry(geometry);
+  return geometry;
+}
+
 void attach(RTCScene scene, RTCGeometry geometry, unsigned id) {
   rtcAttachGeometryByID(scene, geometry, id);
   rtcReleaseGeometry(geometry);
@@ -255,10 +283,13 @@ int main(int, char** arguments) {
   const std::string what = arguments[1];
   device = rtcNewDevice(nullptr);
   const Grid floor(13, 0, false), wall(7, 0.7f, true), hidden(5, 0.4f, false), small(6, 0, false);
+  const Grid low(5, 0.9f, false), high(5, 1.6f, false);
 
   RTCScene child = rtcNewScene(device);
   attach(child, triangles(small), 2);
   attach(child, quads(wall), 0);
+  const bool moves = what.find("motion") == 0;
+  if (moves) attach(child, moving_triangles(low, high), 4);
   rtcCommitScene(child);
 
   RTCScene scene = rtcNewScene(device);
@@ -287,6 +318,11 @@ int main(int, char** arguments) {
     attach(scene, instance(child, 1.1f, 0.7f), 6);
     attach(scene, instance(child, 0.3f, 0.4f), 7);
   }
+  if (moves) {
+    attach(scene, moving_triangles(low, high), 1);
+    attach(scene, instance(child, -0.9f, 0.8f), 8);
+    attach(scene, moving_instance(child, 0.8f, 1.5f), 6);
+  }
   // It lives on in its instances.
   rtcReleaseScene(child);
   rtcCommitScene(scene);
@@ -297,7 +333,10 @@ int main(int, char** arguments) {
   if (what == "coherent-filters") context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
   if (what == "context-filter") context.filter = reject_thirds;
 
-  const auto rays = random_rays(4000);
+  auto rays = random_rays(4000);
+  if (what == "motion") {
+    for (RTCRayHit& ray : rays) ray.ray.time = random_number();
+  }
   if (what == "packets") {
     packets<4, RTCRayHit4>(scene, &context, rays, rtcIntersect4, rtcOccluded4);
     packets<8, RTCRayHit8>(scene, &context, rays, rtcIntersect8, rtcOccluded8);

@@ -21,7 +21,9 @@ pub mod flag {
     pub const HIT: u8 = 1;
     pub const COHERENT: u8 = 2;
     pub const HAS_REJECTS: u8 = 4;
-    pub const NOT_A_TRIANGLE: u8 = 8;
+    /// The triangles cannot decide this hit: it is of something that is none, or that moves; or it is an occlusion, in a scene
+    /// with such things.
+    pub const UNDECIDED: u8 = 8;
 }
 
 /// Why a renderer asked ([`Record::purpose`]).

@@ -63,8 +63,8 @@ fn is_result(record: &Record) -> bool {
         (true, true) => record.t == f32::NEG_INFINITY,
         (_, false) => record.t == f32::INFINITY && record.triangle == NO_TRIANGLE,
         (false, true) => {
-            let other = record.flags & flag::NOT_A_TRIANGLE != 0;
-            record.t.is_finite() && (record.triangle == NO_TRIANGLE) == other
+            let undecided = record.flags & flag::UNDECIDED != 0;
+            record.t.is_finite() && (record.triangle != NO_TRIANGLE || undecided)
         }
     }
 }

@@ -29,10 +29,9 @@ pub enum Kind {
         capture: u32,
         transform: [[f32; 4]; 3],
     },
-    /// Left out: RTCGeometryType, and whether it is for motion.
+    /// Left out: RTCGeometryType.
     Other {
         geometry_type: u32,
-        moving: bool,
     },
 }
 
@@ -41,6 +40,8 @@ pub enum Kind {
 pub struct Part {
     pub geometry: u32,
     pub kind: Kind,
+    /// It has several time steps. Triangles or transform are those of the first one, and Embree's tree does not have it.
+    pub moving: bool,
     pub mask: u32,
     /// In the flattened numbering.
     pub first_triangle: u32,
@@ -182,12 +183,13 @@ fn part(bytes: &[u8]) -> Result<Part, &'static str> {
             let [a, b, c, d, e, f, g, h, i, j, k, l] = part.transform;
             Kind::Instance { capture: part.capture, transform: [[a, b, c, d], [e, f, g, h], [i, j, k, l]] }
         }
-        EXCHANGE_OTHER => Kind::Other { geometry_type: part.type_, moving: part.moving != 0 },
+        EXCHANGE_OTHER => Kind::Other { geometry_type: part.type_ },
         _ => return Err("a geometry has an unknown kind"),
     };
     Ok(Part {
         geometry: part.geometry,
         kind,
+        moving: part.moving != 0,
         mask: part.mask,
         first_triangle: part.first_triangle,
         triangle_count: part.triangle_count,

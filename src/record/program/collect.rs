@@ -204,13 +204,15 @@ impl Collector {
     }
 
     fn write_tree(&mut self, line: &mut SceneLine, flattened: Flattened) -> Result<(), CollectError> {
-        let Flattened { tree, triangles, geometries, producer, flags, instances, warnings } = flattened;
+        let Flattened { tree, triangles, geometries, producer, flags, instances, moving, warnings } =
+            flattened;
         let meta = json!({
             "recorded": {
                 "command": self.target.command,
                 "scene": line.scene,
                 "commit": line.commit,
                 "left_out": line.left_out,
+                "moving": moving,
                 "warnings": warnings,
             }
         })
@@ -227,8 +229,8 @@ impl Collector {
         let path = path_of_scene(&self.target.bvh, line.number);
         let fingerprint = OutputFile::create(&path)?.commit_with(|out| bvh::write(out, &contents))?;
         self.fingerprints.push(fingerprint);
-        (line.triangles, line.instances, line.nodes) =
-            (triangles.len() as u64, instances as u64, tree.nodes.len() as u64);
+        (line.triangles, line.instances, line.moving, line.nodes) =
+            (triangles.len() as u64, instances as u64, moving as u64, tree.nodes.len() as u64);
         (line.path, line.producer) = (Some(path.display().to_string()), producer);
         line.warnings.extend(warnings);
         Ok(())

@@ -1,17 +1,22 @@
 //! A committed scene and the scenes that it instances -> one tree over triangles in world space.
 //!
-//! The tree is the top-level one with each instance leaf replaced by the instanced tree. Boxes are transformed in double
-//! precision and rounded outward, vertices in the same order of operations and rounded to the nearest: so a box holds what it
-//! held before. Where a tree of the program's could not be read, a binned one of ours is built instead, and the report says so.
+//! The tree is the top-level one with each instance leaf replaced by the instanced tree ([`graft`]), under transformed boxes
+//! ([`transform`]). What moves is where it is at its first time step: Embree has it in trees of nodes that move, which are not read,
+//! so it stands in a binned tree of ours beside Embree's. Where a tree of the program's could not be read, a binned one of
+//! ours over everything is built instead. The report says which.
 
-use super::capture::{Capture, INSTANCE, Kind, Part};
+mod graft;
+mod transform;
+
+use super::capture::{Capture, Kind, Part};
 use crate::builder::{self, BuildError};
-use crate::format::bvh::{Geometry, NO_INSTANCE, flag, geometry_kind};
-use crate::geometry::{Aabb, Triangle, Vec3};
+use crate::format::bvh::{Geometry, NO_INSTANCE, flag, geometry_flag, geometry_kind};
+use crate::geometry::Triangle;
 use crate::progress::Progress;
-use crate::tree::{Node, Tree};
-use std::collections::HashMap;
+use crate::tree::Tree;
+use graft::{Graft, join};
 use thiserror::Error;
+use transform::Transform;
 
 /// Why a scene has no `.bvh`.
 #[derive(Debug, Error)]
@@ -40,49 +45,10 @@ pub struct Flattened {
     /// Bits of [`flag`].
     pub flags: u32,
     pub instances: usize,
+    /// Geometries that move; those of instances count for each.
+    pub moving: usize,
     /// What is not as it was in the program.
     pub warnings: Vec<String>,
-}
-
-/// 3 x 4, row by row, in double precision.
-#[derive(Clone, Copy)]
-struct Transform([[f64; 4]; 3]);
-
-impl Transform {
-    fn new(rows: &[[f32; 4]; 3]) -> Transform {
-        Transform(rows.map(|row| row.map(f64::from)))
-    }
-
-    fn point(&self, point: Vec3) -> Vec3 {
-        let p = point.as_dvec3();
-        Vec3::from(self.0.map(|[x, y, z, w]| (x * p.x + y * p.y + z * p.z + w) as f32))
-    }
-
-    fn triangle(&self, triangle: &Triangle) -> Triangle {
-        Triangle(triangle.0.map(|vertex| self.point(vertex)))
-    }
-
-    /// Around the transformed box. Every operation keeps order, so a box inside of another stays inside.
-    fn bounds(&self, bounds: &Aabb) -> Aabb {
-        let (low, high) = (bounds.lower.as_dvec3(), bounds.upper.as_dvec3());
-        let corner = |pick: fn(f64, f64) -> f64, round: fn(f64) -> f32| {
-            Vec3::from(self.0.map(|[x, y, z, w]| {
-                let term = |factor: f64, low: f64, high: f64| pick(factor * low, factor * high);
-                round(term(x, low.x, high.x) + term(y, low.y, high.y) + term(z, low.z, high.z) + w)
-            }))
-        };
-        Aabb { lower: corner(f64::min, round_down), upper: corner(f64::max, round_up) }
-    }
-}
-
-/// The largest number of single precision that is not above.
-fn round_down(value: f64) -> f32 {
-    let nearest = value as f32;
-    if f64::from(nearest) > value { nearest.next_down() } else { nearest }
-}
-
-fn round_up(value: f64) -> f32 {
-    -round_down(-value)
 }
 
 /// An instance and what it is of.
@@ -121,28 +87,46 @@ pub fn flatten<'a>(
     let triangles = triangles(top, &placed);
     let geometries = geometries(top, &placed, &mut warnings);
 
+    let moves = |geometry: &&Geometry| geometry.flags & geometry_flag::MOVING != 0;
+    let moving: Vec<u32> = geometries
+        .iter()
+        .filter(moves)
+        .flat_map(|geometry| geometry.first_triangle..geometry.first_triangle + geometry.triangle_count)
+        .collect();
+
     let used = || placed.iter().filter(|placed| placed.part.triangle_count > 0);
     let doubt =
         std::iter::once(top).chain(used().map(|placed| placed.of)).find(|capture| !capture.has_tree());
     let mut flags = if placed.is_empty() { 0 } else { flag::FLATTENED };
     let (tree, producer) = match doubt {
         None => {
-            flags |= flag::LIVE;
             if top.splits || used().any(|placed| placed.of.splits) {
                 flags |= flag::SPATIAL_SPLITS;
             }
-            (Graft::new(top, &placed).run(), top.producer.clone())
+            let still = Graft::new(top, &placed).run();
+            if moving.is_empty() {
+                flags |= flag::LIVE;
+                (still, top.producer.clone())
+            } else {
+                let first_step: Vec<Triangle> =
+                    moving.iter().map(|&triangle| triangles[triangle as usize]).collect();
+                (join(still, binned(&first_step)?, &moving), format!("binned + {}", top.producer))
+            }
         }
         Some(doubtful) => {
             warnings.push(format!(
                 "Embree's live tree cannot be read ({}); a binned tree of ours is used instead",
                 doubtful.doubt
             ));
-            let tree = builder::build(&triangles, &builder::Config::default(), &Progress::hidden())?;
-            (tree, "bvh-build binned".to_owned())
+            (binned(&triangles)?, "bvh-build binned".to_owned())
         }
     };
-    Ok(Flattened { tree, triangles, geometries, producer, flags, instances: placed.len(), warnings })
+    let moving = geometries.iter().filter(moves).count();
+    Ok(Flattened { tree, triangles, geometries, producer, flags, instances: placed.len(), moving, warnings })
+}
+
+fn binned(triangles: &[Triangle]) -> Result<Tree, BuildError> {
+    builder::build(triangles, &builder::Config::default(), &Progress::hidden())
 }
 
 /// The elements of `TRIS`.
@@ -167,7 +151,7 @@ fn triangles(top: &Capture, placed: &[Placed]) -> Vec<Triangle> {
 
 /// The elements of `GEOM`.
 fn geometries(top: &Capture, placed: &[Placed], warnings: &mut Vec<String>) -> Vec<Geometry> {
-    let geometry = |instance: u32, part: &Part, first: u32, mask: u32| {
+    let geometry = |instance: u32, part: &Part, first: u32, mask: u32, moving: bool| {
         let kind = match part.kind {
             Kind::Triangles => geometry_kind::TRIANGLES,
             Kind::Quads => geometry_kind::QUADS,
@@ -181,7 +165,8 @@ fn geometries(top: &Capture, placed: &[Placed], warnings: &mut Vec<String>) -> V
             triangle_count,
             mask,
             kind,
-            reserved: [0; 2],
+            flags: if moving { geometry_flag::MOVING } else { 0 },
+            reserved: 0,
         })
     };
     let mut geometries = Vec::new();
@@ -189,7 +174,7 @@ fn geometries(top: &Capture, placed: &[Placed], warnings: &mut Vec<String>) -> V
     let mut masks_mixed = 0;
     for part in &top.parts {
         if !matches!(part.kind, Kind::Instance { .. }) {
-            geometries.extend(geometry(NO_INSTANCE, part, part.first_triangle, part.mask));
+            geometries.extend(geometry(NO_INSTANCE, part, part.first_triangle, part.mask, part.moving));
             continue;
         }
         let of = instances.next().expect("one for each instance, in their order").of;
@@ -200,7 +185,8 @@ fn geometries(top: &Capture, placed: &[Placed], warnings: &mut Vec<String>) -> V
                 masks_mixed += 1;
             }
             let first = part.first_triangle + inner.first_triangle;
-            geometries.extend(geometry(part.geometry, inner, first, mask));
+            let moving = part.moving || inner.moving;
+            geometries.extend(geometry(part.geometry, inner, first, mask, moving));
         }
     }
     if masks_mixed > 0 {
@@ -211,124 +197,20 @@ fn geometries(top: &Capture, placed: &[Placed], warnings: &mut Vec<String>) -> V
     geometries
 }
 
-/// The top-level tree with the instanced ones in it.
-struct Graft<'a> {
-    top: &'a Capture,
-    placed: &'a [Placed<'a>],
-    /// Numbers of instances by their geomID.
-    numbers: HashMap<u32, usize>,
-    tree: Tree,
-}
-
-/// A node of one of the trees that is still to be copied, to node `to`.
-struct Pending {
-    /// Which instance's tree; `None` for the top-level one.
-    instance: Option<usize>,
-    from: usize,
-    to: usize,
-}
-
-impl<'a> Graft<'a> {
-    fn new(top: &'a Capture, placed: &'a [Placed<'a>]) -> Graft<'a> {
-        let numbers =
-            placed.iter().enumerate().map(|(number, placed)| (placed.part.geometry, number)).collect();
-        Graft { top, placed, numbers, tree: Tree::default() }
-    }
-
-    fn run(mut self) -> Tree {
-        self.tree.nodes.push(Node::leaf(Aabb::EMPTY, 0, 0));
-        let mut pending = vec![Pending { instance: None, from: 0, to: 0 }];
-        while let Some(next) = pending.pop() {
-            self.copy(&next, &mut pending);
-        }
-        self.hold();
-        self.tree
-    }
-
-    /// Adds `count` children to node `parent`, to be filled; returns the first.
-    fn children(&mut self, parent: usize, bounds: Aabb, count: usize) -> usize {
-        let first = self.tree.nodes.len();
-        self.tree.nodes[parent] = Node::inner(bounds, first as u32, count as u32);
-        self.tree.nodes.resize(first + count, Node::leaf(Aabb::EMPTY, 0, 0));
-        first
-    }
-
-    fn copy(&mut self, next: &Pending, pending: &mut Vec<Pending>) {
-        let placed = next.instance.map(|index| &self.placed[index]);
-        let source = placed.map_or(self.top, |placed| placed.of);
-        let node = source.nodes[next.from];
-        let bounds = match placed {
-            Some(placed) if !node.bounds().is_empty() => placed.transform.bounds(&node.bounds()),
-            _ => node.bounds(),
-        };
-        if !node.is_leaf() {
-            let first = self.children(next.to, bounds, node.len());
-            let instance = next.instance;
-            // Backwards, so that the first child is copied first and lies next to its parent.
-            pending.extend(node.range().enumerate().rev().map(|(child, from)| Pending {
-                instance,
-                from,
-                to: first + child,
-            }));
-            return;
-        }
-        let entries = &source.primitives[node.range()];
-        if placed.is_none() && entries.iter().any(|entry| entry & INSTANCE != 0) {
-            return self.copy_instances(entries, bounds, next.to, pending);
-        }
-        let offset = placed.map_or(0, |placed| placed.part.first_triangle);
-        let first = self.tree.primitives.len() as u32;
-        self.tree.primitives.extend(entries.iter().map(|entry| entry + offset));
-        self.tree.nodes[next.to] = Node::leaf(bounds, first, node.len() as u32);
-    }
-
-    /// A leaf of instances: the roots of their trees are its children, or, when it has only one, that root is the leaf.
-    fn copy_instances(&mut self, entries: &[u32], bounds: Aabb, to: usize, pending: &mut Vec<Pending>) {
-        let instances: Vec<usize> = entries
-            .iter()
-            .filter_map(|entry| self.numbers.get(&(entry & !INSTANCE)).copied())
-            .filter(|&index| self.placed[index].part.triangle_count > 0)
-            .collect();
-        match instances[..] {
-            [] => self.tree.nodes[to] = Node::leaf(bounds, self.tree.primitives.len() as u32, 0),
-            [only] => pending.push(Pending { instance: Some(only), from: 0, to }),
-            _ => {
-                let first = self.children(to, bounds, instances.len());
-                pending.extend(instances.iter().enumerate().rev().map(|(child, &index)| Pending {
-                    instance: Some(index),
-                    from: 0,
-                    to: first + child,
-                }));
-            }
-        }
-    }
-
-    /// Lets every box hold its children's: Embree's transformed boxes and ours are not rounded alike.
-    fn hold(&mut self) {
-        for index in (0..self.tree.nodes.len()).rev() {
-            let node = self.tree.nodes[index];
-            if node.is_leaf() {
-                continue;
-            }
-            let all = self.tree.nodes[node.range()]
-                .iter()
-                .fold(node.bounds(), |all, child| all.union(&child.bounds()));
-            (self.tree.nodes[index].lower, self.tree.nodes[index].upper) = (all.lower, all.upper);
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::format::bvh::{self, Bvh, Contents};
+    use crate::geometry::{Aabb, Vec3};
+    use crate::record::program::capture::INSTANCE;
+    use crate::tree::Node;
 
     fn triangle(x: f32, y: f32, z: f32) -> Triangle {
         Triangle([Vec3::new(x, y, z), Vec3::new(x + 0.7, y, z + 0.1), Vec3::new(x, y + 0.9, z)])
     }
 
     fn part(geometry: u32, kind: Kind, mask: u32, first_triangle: u32, triangle_count: u32) -> Part {
-        Part { geometry, kind, mask, first_triangle, triangle_count }
+        Part { geometry, kind, moving: false, mask, first_triangle, triangle_count }
     }
 
     fn capture(
@@ -384,7 +266,7 @@ mod tests {
             vec![
                 instance(0, u32::MAX, 0),
                 part(1, Kind::Triangles, 1, 3, 1),
-                part(2, Kind::Other { geometry_type: 120, moving: false }, 1, 4, 0),
+                part(2, Kind::Other { geometry_type: 120 }, 1, 4, 0),
                 instance(3, 0xA, 4),
             ],
             vec![own],
@@ -438,21 +320,6 @@ mod tests {
     }
 
     #[test]
-    fn a_transformed_box_holds_what_it_held() {
-        let mut random = crate::random::Random::new(7);
-        let mut number = || (random.unit() - 0.5) * 200.0;
-        for _ in 0..2000 {
-            let mut row = || [number() / 30.0, number() / 30.0, number() / 30.0, number()];
-            let transform = Transform::new(&[row(), row(), row()]);
-            let triangle = Triangle([(); 3].map(|()| Vec3::new(number(), number(), number())));
-            let outer = triangle.bounds().grown(Vec3::new(number(), number(), number()));
-            let moved = transform.bounds(&triangle.bounds());
-            assert!(moved.contains(&transform.triangle(&triangle).bounds()));
-            assert!(transform.bounds(&outer).contains(&moved));
-        }
-    }
-
-    #[test]
     fn without_a_tree_one_is_built() {
         let (top, mut child) = (top(), instanced());
         (child.nodes, child.primitives) = (Vec::new(), Vec::new());
@@ -461,6 +328,36 @@ mod tests {
         verified(&found);
         assert!(found.warnings[1].contains("a node is odd"));
         assert_eq!((found.flags, found.tree.primitives.len()), (flag::FLATTENED, 7));
+    }
+
+    /// A moving instance is in no leaf of Embree's tree, nor are moving triangles of an instanced scene: they are in ours.
+    #[test]
+    fn what_moves_has_a_tree_beside() {
+        let (mut top, mut child) = (top(), instanced());
+        top.parts[3].moving = true;
+        top.primitives = vec![3, INSTANCE];
+        top.nodes[2] = Node::leaf(top.nodes[2].bounds(), 1, 1);
+        child.parts[0].moving = true;
+        (child.nodes, child.primitives) = (vec![Node::leaf(child.nodes[0].bounds(), 0, 2)], vec![2, 1]);
+        let found = flatten(&top, |_| Some(&child), 7).unwrap();
+        verified(&found);
+        let moving: Vec<_> = found.geometries.iter().map(|g| (g.first_triangle, g.flags)).collect();
+        assert_eq!(moving, [(0, 1), (1, 0), (3, 0), (4, 1), (5, 1)]);
+        assert_eq!((found.moving, found.flags), (3, flag::FLATTENED));
+        assert_eq!(found.producer, "binned + embree");
+        // Embree's leaves first, then ours.
+        assert_eq!(found.tree.primitives[..3], [3, 2, 1]);
+        let mut ours = found.tree.primitives[3..].to_vec();
+        ours.sort();
+        assert_eq!(ours, [0, 4, 5, 6]);
+
+        // Where nothing stands still, there is only ours.
+        top.parts[0].moving = true;
+        top.parts[1].moving = true;
+        (top.nodes, top.primitives) = (vec![Node::leaf(Aabb::EMPTY, 0, 0)], Vec::new());
+        let found = flatten(&top, |_| Some(&child), 7).unwrap();
+        verified(&found);
+        assert_eq!(found.tree.primitives.len(), 7);
     }
 
     #[test]

@@ -17,8 +17,8 @@ impl LeftOut {
         let mut kinds = BTreeMap::new();
         let mut count = |capture: &Capture| {
             for part in &capture.parts {
-                if let Kind::Other { geometry_type, moving } = part.kind {
-                    *kinds.entry(kind_name(geometry_type, moving)).or_insert(0) += 1;
+                if let Kind::Other { geometry_type } = part.kind {
+                    *kinds.entry(kind_name(geometry_type)).or_insert(0) += 1;
                 }
             }
         };
@@ -35,18 +35,13 @@ impl LeftOut {
 }
 
 /// The name of an `RTCGeometryType`.
-fn kind_name(geometry_type: u32, moving: bool) -> &'static str {
-    match (geometry_type, moving) {
-        (0, true) => "moving triangles",
-        (1, true) => "moving quads",
-        (121, true) => "moving instances",
-        (0, _) => "triangles without a tree",
-        (1, _) => "quads without a tree",
-        (121, _) => "instances of scenes that were not committed",
-        (2, _) => "grids",
-        (8, _) => "subdivision surfaces",
-        (15..=71, _) => "curves and points",
-        (120, _) => "user geometries",
+fn kind_name(geometry_type: u32) -> &'static str {
+    match geometry_type {
+        121 => "instances of scenes that were not committed",
+        2 => "grids",
+        8 => "subdivision surfaces",
+        15..=71 => "curves and points",
+        120 => "user geometries",
         _ => "other geometries",
     }
 }
@@ -66,6 +61,8 @@ pub struct SceneLine {
     pub producer: String,
     pub triangles: u64,
     pub instances: u64,
+    /// Geometries that move, in the tree as they are at their first time step.
+    pub moving: u64,
     pub nodes: u64,
     pub left_out: LeftOut,
     pub warnings: Vec<String>,
@@ -142,6 +139,7 @@ impl fmt::Display for Report {
                 producer,
                 triangles,
                 instances,
+                moving,
                 nodes,
                 ..
             } = scene;
@@ -152,6 +150,14 @@ impl fmt::Display for Report {
                     write!(f, ", {instances} instance{} flattened", plural(*instances as u32))?;
                 }
                 writeln!(f)?;
+            }
+            if *moving > 0 {
+                let plural = if *moving == 1 { "y" } else { "ies" };
+                writeln!(
+                    f,
+                    "{:<9}{moving} moving geometr{plural}: as at the first time step, under a tree of ours; their hits are not judged",
+                    ""
+                )?;
             }
             for (kind, count) in &scene.left_out.0 {
                 writeln!(f, "{:<9}left out of the tree: {count} {kind}", "")?;
