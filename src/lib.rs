@@ -7,13 +7,14 @@
 //! | shapes | [`geometry`], [`tree`] | boxes, rays, triangles; nodes as they stand in a file |
 //! | scenes | [`mesh`] | triangles from OBJ, PLY and generators |
 //! | Embree | `embree` (feature) | queries through the shim, and Embree's own trees |
-//! | queries | `render`, `record` (feature) | a renderer that asks, or somebody else's (`record::program`), and the writer of what was asked |
+//! | queries | [`render`], `record` (feature) | a renderer that asks, or somebody else's (`record::program`), and the writer of what was asked |
 //! | formats | [`mod@format`], [`files`] | `.rays` and `.bvh`, each read and written in one place |
 //! | looking | [`inspect`], [`diff`] | what is in a file, and how two differ |
 //! | building | [`builder`], [`probability`], [`optimize`], [`training`], [`recipe`] | trees from triangles, and from rays how likely a box is hit |
 //! | traversal | [`traverse`], [`replay`] | recorded queries over any tree: counts, and agreement with the recording |
 //! | results | [`compare`], [`report`], [`experiment`] | trees side by side; tables, JSON, heat maps; the paper's figures |
 //! | a window's logic | [`explore`] | walking a tree; where its work goes; what a query does, step by step |
+//! | on screen | `view` (feature) | the window `bvh-view`, and its screenshots |
 //! | around it | [`cli`], [`progress`], [`random`] | what all commands and all algorithms share |
 //!
 //! # Invariants
@@ -44,10 +45,11 @@ pub mod random;
 pub mod recipe;
 #[cfg(feature = "embree")]
 pub mod record;
-#[cfg(feature = "embree")]
 pub mod render;
 pub mod replay;
 pub mod report;
 pub mod training;
 pub mod traverse;
 pub mod tree;
+#[cfg(feature = "viewer")]
+pub mod view;

@@ -1,6 +1,7 @@
 //! A pinhole camera: where it stands ([`View`]) and which ray belongs to a point of the image ([`Camera`]).
 
-use crate::geometry::{Ray, Vec3};
+use crate::geometry::{DVec3, Ray, Vec3};
+use glam::DMat3;
 use thiserror::Error;
 
 /// Where a camera stands and looks, in world space.
@@ -102,6 +103,64 @@ impl Camera {
         let direction = (self.forward + across * self.right + down * self.down).normalize();
         Ray { origin: self.eye, tnear: 0.0, direction, tfar: f32::INFINITY }
     }
+
+    /// The view of a pinhole camera whose rays through known points of its image (in pixels) are given; `None` when they have no common
+    /// origin or do not span the image. Points may be off by half a pixel: it is a fit by least squares.
+    pub fn fitted(samples: &[([f32; 2], Ray)], width: u32, height: u32) -> Option<View> {
+        let (_, first) = samples.first()?;
+        let eye = first.origin;
+        let tolerance = 1e-5 * (1.0 + eye.abs().max_element());
+        if samples.iter().any(|(_, ray)| !((ray.origin - eye).abs().max_element() <= tolerance)) {
+            return None;
+        }
+        let directions: Vec<DVec3> =
+            samples.iter().map(|(_, ray)| ray.direction.as_dvec3().normalize_or_zero()).collect();
+        // Directions over their share along the line of sight are a plane: middle + x · right + y · down. The line of sight is the plane's
+        // middle, found again with each round.
+        let mut forward = directions.iter().sum::<DVec3>().try_normalize()?;
+        let mut plane = [DVec3::ZERO; 3];
+        for _ in 0..8 {
+            let (mut left, mut answer) = (DMat3::ZERO, DMat3::ZERO);
+            for (([x, y], _), direction) in samples.iter().zip(&directions) {
+                let along = direction.dot(forward);
+                if along < 0.05 {
+                    return None;
+                }
+                let across = 2.0 * f64::from(*x) / f64::from(width) - 1.0;
+                let down = 2.0 * f64::from(*y) / f64::from(height) - 1.0;
+                let row = DVec3::new(1.0, across, down);
+                left += DMat3::from_cols(row * row.x, row * row.y, row * row.z);
+                let point = *direction / along;
+                answer += DMat3::from_cols(row * point.x, row * point.y, row * point.z);
+            }
+            if left.determinant() < 1e-6 * (samples.len() as f64).powi(3) {
+                return None;
+            }
+            let solved = (left.inverse() * answer).transpose();
+            plane = [solved.x_axis, solved.y_axis, solved.z_axis];
+            forward = plane[0].try_normalize()?;
+        }
+        let [middle, _, down] = plane;
+        let fov_degrees = (2.0 * (down.length() / middle.length()).atan()).to_degrees() as f32;
+        let view =
+            View { eye, target: eye + forward.as_vec3(), up: -down.try_normalize()?.as_vec3(), fov_degrees };
+        Camera::new(&view, width, height).ok().map(|_| view)
+    }
+
+    /// Half the image plane at distance 1: to its right edge, and to its lower edge.
+    pub fn half_plane(&self) -> [Vec3; 2] {
+        [self.right, self.down]
+    }
+
+    /// Where in the image, in pixels, a point appears, and how far along [`Self::forward`] it is; `None` behind the eye.
+    pub fn project(&self, point: Vec3) -> Option<([f32; 2], f32)> {
+        let sight = point - self.eye;
+        let depth = sight.dot(self.forward);
+        let across = sight.dot(self.right) / self.right.length_squared() / depth;
+        let down = sight.dot(self.down) / self.down.length_squared() / depth;
+        let pixel = [(across + 1.0) * 0.5 * self.width, (down + 1.0) * 0.5 * self.height];
+        (depth > 0.0 && pixel.iter().all(|p| p.is_finite())).then_some((pixel, depth))
+    }
 }
 
 #[cfg(test)]
@@ -125,6 +184,50 @@ mod tests {
         assert!(close(camera.ray(100.0, 0.0).direction, Vec3::new(0.0, 1.0, -1.0).normalize()));
         assert!(close(camera.ray(0.0, 0.0).direction, Vec3::new(-2.0, 1.0, -1.0).normalize()));
         assert!(close(camera.ray(200.0, 100.0).direction, Vec3::new(2.0, -1.0, -1.0).normalize()));
+    }
+
+    #[test]
+    fn a_point_of_a_ray_appears_where_the_ray_started() {
+        let camera = Camera::new(&view(), 200, 100).unwrap();
+        for (x, y) in [(0.0, 0.0), (150.0, 20.0), (100.0, 50.0), (199.0, 99.0)] {
+            let ([px, py], depth) = camera.project(camera.ray(x, y).at(7.0)).unwrap();
+            assert!((px - x).abs() < 1e-3 && (py - y).abs() < 1e-3 && depth <= 7.0);
+        }
+        // 45 degrees up, 5 in front of the eye: the middle of the upper edge.
+        assert_eq!(camera.project(Vec3::new(0.0, 5.0, 0.0)), Some(([100.0, 0.0], 5.0)));
+        assert_eq!(camera.project(Vec3::new(0.0, 0.0, 6.0)), None);
+    }
+
+    #[test]
+    fn a_camera_is_found_again_from_its_rays() {
+        let view = View {
+            eye: Vec3::new(10.0, 2.0, -3.0),
+            target: Vec3::new(3.0, 1.0, 4.0),
+            up: Vec3::new(0.1, 1.0, 0.0),
+            fov_degrees: 63.0,
+        };
+        let camera = Camera::new(&view, 320, 200).unwrap();
+        // Each ray goes somewhere through its pixel, of which only the middle is known.
+        let samples: Vec<([f32; 2], Ray)> = (0..500u32)
+            .map(|number| {
+                let (x, y) = ((number * 77 % 320) as f32, (number * 131 % 200) as f32);
+                let inside = (number % 10) as f32 / 10.0 + 0.05;
+                ([x + 0.5, y + 0.5], camera.ray(x + inside, y + 1.0 - inside))
+            })
+            .collect();
+        let found = Camera::fitted(&samples, 320, 200).unwrap();
+        assert_eq!(found.eye, view.eye);
+        assert!((found.fov_degrees - 63.0).abs() < 0.2, "{found:?}");
+        let again = Camera::new(&found, 320, 200).unwrap();
+        for corner in [(0.0, 0.0), (320.0, 0.0), (160.0, 100.0), (0.0, 200.0)] {
+            let cosine =
+                again.ray(corner.0, corner.1).direction.dot(camera.ray(corner.0, corner.1).direction);
+            assert!(cosine > 0.99999, "{corner:?} {cosine}");
+        }
+        let mut moved = samples.clone();
+        moved[3].1.origin.x += 1.0;
+        assert_eq!(Camera::fitted(&moved, 320, 200), None, "no common origin");
+        assert_eq!(Camera::fitted(&samples[..2], 320, 200), None, "they do not span the image");
     }
 
     #[test]

@@ -5,11 +5,11 @@
 //! shows much. Otherwise it stands outside, far enough to see all, on the side that shows most (a box with an open side is
 //! looked into).
 
-use crate::format::rays::{NO_PATH, Purpose};
+#[cfg(feature = "embree")]
+pub mod lighting;
+
 use crate::geometry::{Aabb, Ray, Triangle, Vec3};
 use crate::render::camera::{Camera, View};
-use crate::render::lights::{Panel, Sky};
-use crate::render::queries::{RayQueries, query};
 use crate::render::sampler::Sampler;
 use std::collections::HashSet;
 use std::f32::consts::{PI, TAU};
@@ -31,8 +31,6 @@ const ENCLOSED: f32 = 0.65;
 const CLOSE: f32 = 0.1;
 /// A view from inside is at least this share of the diagonal long. In a tangle there is none.
 const MIN_LENGTH: f32 = 0.15;
-/// From a point this enclosed, the sun can only shine through windows.
-const INDOORS: f32 = 0.9;
 /// Places that a camera inside may stand, and how many of the best are looked from.
 const PLACES: u32 = 512;
 const FINALISTS: usize = 40;
@@ -121,6 +119,21 @@ pub fn main_bounds(triangles: &[Triangle]) -> Aabb {
     main
 }
 
+/// The surface that a ray meets first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Seen {
+    /// In units of the length of the ray's direction.
+    pub t: f32,
+    pub triangle: u32,
+    /// Geometric, of any length.
+    pub normal: Vec3,
+}
+
+/// Whoever can say what a ray meets first.
+pub trait Sight {
+    fn first(&mut self, ray: &Ray) -> Option<Seen>;
+}
+
 /// What a scene looks like to someone who has to choose a view.
 pub struct Framing<'a, Q> {
     queries: &'a mut Q,
@@ -145,7 +158,7 @@ struct Glimpse {
     backs: f32,
 }
 
-impl<'a, Q: RayQueries> Framing<'a, Q> {
+impl<'a, Q: Sight> Framing<'a, Q> {
     /// `bounds` are [`main_bounds`] of the triangles.
     pub fn new(queries: &'a mut Q, triangles: &'a [Triangle], bounds: Aabb, axes: Axes) -> Framing<'a, Q> {
         let size = bounds.extent().length().max(f32::MIN_POSITIVE);
@@ -161,7 +174,7 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
 
     fn distance(&mut self, origin: Vec3, direction: Vec3) -> Option<f32> {
         let ray = Ray { origin, tnear: 0.0, direction, tfar: f32::INFINITY };
-        self.queries.closest_hit(&query(ray, NO_PATH, 0, Purpose::Unknown)).map(|hit| hit.t)
+        self.queries.first(&ray).map(|seen| seen.t)
     }
 
     /// Mean share of the sphere around a triangle in which nothing hides it, over triangles at regular steps of their numbers: so
@@ -207,12 +220,12 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
             for x in 0..width {
                 let ray = camera.ray((x as f32 + 0.5) * scale[0], (y as f32 + 0.5) * scale[1]);
                 let mut distance = f32::INFINITY;
-                if let Some(hit) = self.queries.closest_hit(&query(ray, NO_PATH, 0, Purpose::Unknown)) {
+                if let Some(first) = self.queries.first(&ray) {
                     hits += 1;
-                    seen.insert(hit.triangle);
-                    distance = hit.t;
-                    close += u32::from(hit.t < CLOSE * self.size);
-                    backs += u32::from(hit.normal.dot(ray.direction) > 0.0);
+                    seen.insert(first.triangle);
+                    distance = first.t;
+                    close += u32::from(first.t < CLOSE * self.size);
+                    backs += u32::from(first.normal.dot(ray.direction) > 0.0);
                 }
                 let above = std::mem::replace(&mut distances[x as usize], distance);
                 let breaks = |other: f32| other.min(distance) < 0.8 * other.max(distance);
@@ -358,34 +371,6 @@ impl<'a, Q: RayQueries> Framing<'a, Q> {
         let height = (clearance / (extent * up).element_sum().abs()).min(1.0).sqrt();
         Some((length * freedom * height, eye, TAU * direction as f32 / count as f32))
     }
-
-    /// The panel for a camera that stands in a room, or `None` under the open sky.
-    pub fn panel(&mut self, eye: Vec3) -> Option<Panel> {
-        if self.enclosure(eye) < INDOORS {
-            return None;
-        }
-        let Axes { up, front, right } = self.axes;
-        let ceiling = self.distance(eye, up)?;
-        // A little below, so that it does not lie in a lamp or a beam.
-        let centre = eye + up * (0.9 * ceiling);
-        // As far as half the way to the walls on both sides, so that it hangs free.
-        let mut half = |axis: Vec3| {
-            let to = |framing: &mut Self, axis| framing.distance(centre, axis).unwrap_or(ceiling);
-            let free = to(self, axis).min(to(self, -axis));
-            axis * (0.5 * free).clamp(0.05 * ceiling, 1.5 * ceiling)
-        };
-        let (across, along) = (half(right), half(front));
-        // right × front points down, as right = up × front.
-        Some(Panel { corner: centre - across - along, edges: [2.0 * across, 2.0 * along] })
-    }
-}
-
-/// A sky whose sun stands high behind the camera's left shoulder, so that what it looks at is lit and shaded.
-pub fn sky(axes: &Axes, forward: Vec3) -> Sky {
-    let up = axes.up;
-    let level = (forward - up * forward.dot(up)).try_normalize().unwrap_or(-axes.front);
-    let left = up.cross(level);
-    Sky { up, sun: (up * 1.6 - level * 0.7 + left * 0.6).normalize() }
 }
 
 /// Direction `index` of [`DIRECTIONS`] spread evenly over the sphere (a Fibonacci lattice), turned by `turn`.

@@ -1,8 +1,9 @@
 //! What integrators ask: the seam between them and Embree, so that tests can answer by brute force.
 
 use crate::embree::{Hit, Query};
-use crate::format::rays::Purpose;
+use crate::format::rays::{NO_PATH, Purpose};
 use crate::geometry::Ray;
+use crate::render::framing::{Seen, Sight};
 
 /// Queries that can be asked at once.
 pub const MAX_PACKET: usize = 16;
@@ -27,6 +28,13 @@ pub trait RayQueries {
         for (query, occluded) in queries.iter().zip(occluded) {
             *occluded = self.occluded(query);
         }
+    }
+}
+
+impl<Q: RayQueries> Sight for Q {
+    fn first(&mut self, ray: &Ray) -> Option<Seen> {
+        let hit = self.closest_hit(&query(*ray, NO_PATH, 0, Purpose::Unknown))?;
+        Some(Seen { t: hit.t, triangle: hit.triangle, normal: hit.normal })
     }
 }
 

@@ -1,0 +1,77 @@
+//! What a window shows, for machines.
+
+use super::shared::Shared;
+use crate::geometry::Vec3;
+use serde::Serialize;
+
+/// A tree that was opened.
+#[derive(Debug, Serialize)]
+pub struct TreeSummary {
+    pub path: String,
+    pub triangles: usize,
+    pub nodes: usize,
+    /// Levels; a lone root has one.
+    pub depth: usize,
+    /// The node that the window shows.
+    pub node: u32,
+    /// Γ per query on average, when a recording is there.
+    pub cost_per_query: Option<f64>,
+}
+
+/// A recording that was opened.
+#[derive(Debug, Serialize)]
+pub struct RecordingSummary {
+    pub path: String,
+    pub queries: u64,
+    /// Queries that the numbers in the window count.
+    pub counted: u64,
+}
+
+/// Everything.
+#[derive(Debug, Serialize)]
+pub struct Summary {
+    pub trees: Vec<TreeSummary>,
+    pub recording: Option<RecordingSummary>,
+    pub traversal: &'static str,
+    pub eye: [f32; 3],
+    pub target: [f32; 3],
+    pub up: [f32; 3],
+    pub fov_degrees: f32,
+    pub warnings: Vec<String>,
+}
+
+impl Summary {
+    pub fn of(shared: &Shared) -> Summary {
+        let opened = &shared.opened;
+        let trees = opened.trees.iter().zip(&shared.results).zip(&shared.cursors);
+        let tree = |((tree, results), cursor): (
+            (&std::sync::Arc<super::load::OpenTree>, &super::results::Results),
+            &crate::explore::walk::Cursor,
+        )| TreeSummary {
+            path: tree.path.display().to_string(),
+            triangles: tree.triangles().len(),
+            nodes: tree.bvh.tree.nodes.len(),
+            depth: tree.bvh.statistics.depth,
+            node: cursor.node(),
+            cost_per_query: results.shares.as_ref().map(|shares| shares.mean_gamma()),
+        };
+        let counted = shared.results.iter().filter_map(|results| results.shares.as_ref());
+        let recording = opened.recording.as_ref().map(|recording| RecordingSummary {
+            path: recording.path.display().to_string(),
+            queries: recording.rays.query_count(),
+            counted: counted.map(|shares| shares.counted.queries).min().unwrap_or(0),
+        });
+        let view = shared.camera.view;
+        let array = |v: Vec3| v.to_array();
+        Summary {
+            trees: trees.map(tree).collect(),
+            recording,
+            traversal: shared.traversal.key(),
+            eye: array(view.eye),
+            target: array(view.target),
+            up: array(view.up),
+            fov_degrees: view.fov_degrees,
+            warnings: opened.warnings.clone(),
+        }
+    }
+}

@@ -1,0 +1,129 @@
+//! What a user asked for on the command line, put into effect once the files are open: the same for a window and for a screenshot.
+
+use super::layers::{Boxes, RayColor, SurfaceColor};
+use super::modes::ModeName;
+use super::session::Session;
+use crate::render::camera::{Camera, CameraError, View, parse_view};
+use crate::traverse::Traversal;
+use std::str::FromStr;
+use thiserror::Error;
+
+/// Which boxes: `children`, `level:N`, `above:SHARE` or `none`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum BoxWish {
+    None,
+    Children,
+    Level(usize),
+    Above(f64),
+}
+
+impl FromStr for BoxWish {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<BoxWish, &'static str> {
+        let expected = "expected children, level:N, above:SHARE (such as above:0.01) or none";
+        match text.split_once(':') {
+            None if text == "children" => Ok(BoxWish::Children),
+            None if text == "none" => Ok(BoxWish::None),
+            Some(("level", levels)) => levels.parse().map(BoxWish::Level).map_err(|_| expected),
+            Some(("above", share)) => match share.parse::<f64>() {
+                Ok(share) if share > 0.0 && share <= 1.0 => Ok(BoxWish::Above(share)),
+                _ => Err(expected),
+            },
+            _ => Err(expected),
+        }
+    }
+}
+
+/// What was asked for; what was not stays as a window starts.
+#[derive(Clone, Debug, Default)]
+pub struct Wishes {
+    /// `eye/target[/up]`.
+    pub view: Option<String>,
+    pub fov: Option<f32>,
+    pub mode: ModeName,
+    pub traversal: Option<Traversal>,
+    /// A node of the first tree.
+    pub node: Option<u32>,
+    pub boxes: Option<BoxWish>,
+    pub color: Option<SurfaceColor>,
+    pub ray_color: Option<RayColor>,
+    /// Most rays.
+    pub rays: Option<usize>,
+    /// Most hit points.
+    pub points: Option<usize>,
+    pub no_panels: bool,
+}
+
+/// Why a wish cannot be met by these files.
+#[derive(Debug, Error)]
+pub enum WishError {
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    #[error("--node {node}: the tree has nodes 0 to {last}")]
+    Node { node: u32, last: usize },
+}
+
+impl Wishes {
+    /// Puts them into effect.
+    ///
+    /// # Errors
+    /// When a view is none, or there is no such node.
+    pub fn apply(&self, session: &mut Session) -> Result<(), WishError> {
+        let shared = &mut session.shared;
+        let mut view = shared.camera.view;
+        if let Some(text) = &self.view {
+            let (eye, target, up) = parse_view(text)?;
+            view = View { eye, target, up: up.unwrap_or(shared.opened.up.up), ..view };
+        }
+        view.fov_degrees = self.fov.unwrap_or(view.fov_degrees);
+        // Whatever the size: a view that no camera can have is refused now.
+        Camera::new(&view, 3, 2)?;
+        shared.camera.view = view;
+        if let Some(node) = self.node {
+            let nodes = shared.tree().bvh.tree.nodes.len();
+            if node as usize >= nodes {
+                return Err(WishError::Node { node, last: nodes - 1 });
+            }
+            shared.go(node);
+        }
+        shared.traversal = self.traversal.unwrap_or(shared.traversal);
+        session.modes.switch(self.mode, shared);
+        // After the mode, which makes visible what it is about.
+        let layers = &mut shared.layers;
+        if let Some(wish) = self.boxes {
+            layers.boxes.visible = wish != BoxWish::None;
+            match wish {
+                BoxWish::None => {}
+                BoxWish::Children => layers.boxes.which = Boxes::Children,
+                BoxWish::Level(levels) => (layers.boxes.which, layers.boxes.levels) = (Boxes::Level, levels),
+                BoxWish::Above(share) => (layers.boxes.which, layers.boxes.share) = (Boxes::Above, share),
+            }
+        }
+        layers.surfaces.color = self.color.unwrap_or(layers.surfaces.color);
+        layers.rays.color = self.ray_color.unwrap_or(layers.rays.color);
+        if let Some(most) = self.rays {
+            (layers.rays.visible, layers.rays.most) = (true, most);
+        }
+        if let Some(most) = self.points {
+            (layers.rays.points, layers.rays.most) = (true, most);
+        }
+        session.panels = !self.no_panels;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boxes_are_named() {
+        assert_eq!("children".parse(), Ok(BoxWish::Children));
+        assert_eq!("level:3".parse(), Ok(BoxWish::Level(3)));
+        assert_eq!("above:0.25".parse(), Ok(BoxWish::Above(0.25)));
+        for bad in ["", "level", "level:x", "above:0", "above:2", "above:nan", "all:3"] {
+            assert!(bad.parse::<BoxWish>().is_err(), "{bad}");
+        }
+    }
+}
