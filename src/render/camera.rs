@@ -110,7 +110,7 @@ impl Camera {
         let (_, first) = samples.first()?;
         let eye = first.origin;
         let tolerance = 1e-5 * (1.0 + eye.abs().max_element());
-        if samples.iter().any(|(_, ray)| !((ray.origin - eye).abs().max_element() <= tolerance)) {
+        if !samples.iter().all(|(_, ray)| (ray.origin - eye).abs().max_element() <= tolerance) {
             return None;
         }
         let directions: Vec<DVec3> =

@@ -1,5 +1,6 @@
 //! Colours: of surfaces, of values (maps that colour-blind readers can tell apart), and of kinds.
 
+use crate::format::rays::NO_DEPTH;
 use crate::geometry::{Triangle, Vec3};
 use colorous::{CIVIDIS, Gradient, INFERNO, VIRIDIS};
 use eframe::egui::Color32;
@@ -105,13 +106,34 @@ pub const RIGHT: Rgba = KINDS[0];
 pub const HIT: Rgba = KINDS[1];
 pub const MISS: Rgba = KINDS[5];
 
+/// Colours of children that are told apart among up to eight.
+const CHILDREN: [Rgba; 8] = [
+    LEFT,
+    RIGHT,
+    KINDS[2],
+    KINDS[6],
+    [120, 120, 255, 255],
+    KINDS[5],
+    [170, 230, 120, 255],
+    [150, 110, 70, 255],
+];
+
 /// The colour of child `number` of a node.
 pub fn child(number: usize) -> Rgba {
-    match number {
-        0 => LEFT,
-        1 => RIGHT,
-        _ => KINDS[(number * 2) % KINDS.len()],
+    CHILDREN[number % CHILDREN.len()]
+}
+
+/// The colour of a depth: what is deeper is brighter.
+pub fn color_of_depth(depth: u8) -> Rgba {
+    match depth {
+        NO_DEPTH => [150, 150, 150, 255],
+        _ => ColorMap::Viridis.color(0.15 + f64::from(depth) / 8.0),
     }
+}
+
+/// The colour of a share of the highest cost.
+pub fn color_of_cost(share: f64) -> Rgba {
+    ColorMap::Inferno.color(0.12 + 0.88 * share)
 }
 
 /// For egui.

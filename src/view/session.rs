@@ -112,7 +112,7 @@ impl Session {
             });
         });
         egui::Panel::bottom("status").show(ui, |ui| self.status(ui));
-        egui::Panel::left("layers").default_size(230.0).show(ui, |ui| {
+        egui::Panel::left("layers").default_size(250.0).show(ui, |ui| {
             egui::ScrollArea::vertical().show(ui, |ui| panels::layers(ui, &mut self.shared));
         });
         egui::Panel::right("mode").default_size(330.0).show(ui, |ui| {
@@ -272,7 +272,7 @@ impl Session {
                 Legend::Kinds { kinds, .. } => kinds.len() as f32 + 1.0,
                 _ => 2.5,
             };
-            let height = 20.0 * rows + 14.0;
+            let height = 23.0 * rows + 14.0;
             let corner = egui::pos2(rect.left() + 8.0, rect.bottom() - height - 8.0);
             let place = Rect::from_min_size(corner, vec2(216.0, height));
             boxed(ui, place, &mut |ui| panels::legend(ui, legend));

@@ -215,7 +215,7 @@ fn describe(ui: &mut Ui, number: u32, node: &NodeShare) {
         ],
     );
     let ratio = node.share / node.area_share;
-    if node.area_share > 0.0 && node.level > 0 && (ratio > 1.5 || ratio < 0.67) {
+    if node.area_share > 0.0 && node.level > 0 && !(0.67..=1.5).contains(&ratio) {
         let text = if ratio > 1.0 {
             format!("costs {ratio:.1} × what its area predicts")
         } else {
@@ -254,7 +254,7 @@ fn children(ui: &mut Ui, shared: &mut Shared, node: u32) {
     let tree = shared.tree().clone();
     let children = tree.walk.children(node);
     ui.horizontal_wrapped(|ui| {
-        if ui.add_enabled(node != 0, egui::Button::new("↑ parent")).clicked() {
+        if ui.add_enabled(node != 0, egui::Button::new("parent")).clicked() {
             shared.cursors[shared.active].up();
         }
         let shares = shared.results[shared.active].shares.clone();
