@@ -163,7 +163,7 @@ impl Queries {
     }
 
     /// The queries of one run; they have lost their numbers, which nothing here needs.
-    fn run(&self, range: &Range<usize>) -> impl Iterator<Item = Query<'_>> {
+    fn run(&self, range: &Range<usize>) -> impl Iterator<Item = Query<'_>> + Clone {
         self.list[range.clone()].iter().map(|(record, ray, rejects)| Query {
             number: 0,
             record,

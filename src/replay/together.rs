@@ -27,7 +27,7 @@ impl<'a> Together<'a> {
     /// Asks `prepared` queries of one kind, [`MOST`] at most; `order` is for depth-first occlusion queries. Returns an answer for each.
     pub fn ask<'q>(
         &mut self,
-        queries: impl Iterator<Item = Query<'a>>,
+        queries: impl Iterator<Item = Query<'a>> + Clone,
         prepared: &Prepared,
         traversal: Traversal,
         order: &OcclusionOrder,
@@ -36,12 +36,9 @@ impl<'a> Together<'a> {
     ) -> &'q [Option<Hit>] {
         self.rays.clear();
         self.candidates.clear();
-        let mut occlusion = false;
-        for query in queries {
-            self.rays.push(query.ray);
-            self.candidates.push(query.candidates);
-            occlusion = query.record.is_occlusion();
-        }
+        self.rays.extend(queries.clone().map(|query| query.ray));
+        self.candidates.extend(queries.clone().map(|query| query.candidates));
+        let occlusion = queries.clone().next().is_some_and(|query| query.record.is_occlusion());
         let (rays, candidates, scratch) = (&self.rays, &self.candidates, &mut self.scratch);
         let answers = &mut answers[..rays.len()];
         if occlusion {

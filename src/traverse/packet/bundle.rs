@@ -264,6 +264,9 @@ pub(super) struct Bundle {
     pub near_face: [usize; 3],
     /// Of all rays; without use when [`Self::bound`] found them to be few.
     pub frustum: Frustum,
+    /// Where the last ray ended when that was computed last, and how many hits were kept since.
+    end: f32,
+    pub hits: usize,
 }
 
 impl Default for Bundle {
@@ -274,6 +277,8 @@ impl Default for Bundle {
             places: Vec::new(),
             near_face: [0; 3],
             frustum: Frustum::new::<Halves>(&[]),
+            end: f32::INFINITY,
+            hits: 0,
         }
     }
 }
@@ -304,6 +309,7 @@ impl Bundle {
         let count = self.queries.len().div_ceil(LANES);
         if count >= least as usize {
             self.frustum = Frustum::new::<V>(&self.octets[..count]);
+            self.hits = self.queries.len();
         }
     }
 
@@ -319,16 +325,19 @@ impl Bundle {
         &self.queries[octet * LANES..self.queries.len().min((octet + 1) * LANES)]
     }
 
-    /// Where the last of the rays of `octets` ends.
+    /// Where the last ray ends, or later: not computed anew for every hit.
     #[inline(always)]
-    pub fn end<V: Eight>(&self, mut octets: u32) -> f32 {
-        let mut end = V::splat(f32::INFINITY);
-        let minus = V::splat(-0.0);
-        while octets != 0 {
-            let octet = next::<OCTETS>(&mut octets);
-            end = V::load(&self.octets[octet].end).flip(minus).min_or(end);
+    pub fn end<V: Eight>(&mut self) -> f32 {
+        if self.hits * 8 >= self.queries.len() {
+            self.hits = 0;
+            let minus = V::splat(-0.0);
+            let mut end = V::splat(f32::INFINITY);
+            for octet in &self.octets[..self.queries.len().div_ceil(LANES)] {
+                end = V::load(&octet.end).flip(minus).min_or(end);
+            }
+            self.end = -end.least();
         }
-        -end.least()
+        self.end
     }
 
     /// Hands out the answers.

@@ -122,7 +122,8 @@ impl<C: Candidates, O: PacketObserver> Walk<'_, C, O> {
             let (mask, entry) = self.test::<V>(octets.trailing_zeros() as usize % OCTETS, faces);
             if mask.bits() == 0 {
                 let bundle = self.bundles.current();
-                if bundle.frustum.misses(faces, bundle.end::<V>(octets)) {
+                let end = bundle.end::<V>();
+                if bundle.frustum.misses(faces, end) {
                     self.observer.decided(Rule::EarlyMiss);
                     return Entered { octets: 0, rays: 0, entry: f32::INFINITY };
                 }
@@ -216,6 +217,7 @@ impl<C: Candidates, O: PacketObserver> Walk<'_, C, O> {
                     let candidates = &self.candidates[bundle.queries[octet * LANES + lane] as usize];
                     if leaf::hit(&triangle, distances[lane], entries[lane], candidates, &mut best) {
                         rays.keep::<ANY>(lane, &best);
+                        bundle.hits += 1;
                     }
                 }
                 let mut lanes = *lanes;
