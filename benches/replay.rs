@@ -5,7 +5,10 @@
 //! Not criterion: it measures one contender after the other, and a shared machine drifts meanwhile. Here every round
 //! runs each contender on the same queries, first untimed to warm it up; the tables show medians over rounds, in million queries per processor
 //! second of one thread, and how many answers are those of the recording. The last tables have what the targets ask for:
-//! ratios of ours to the fastest of others, and of packets to single rays, by scene, and their medians.
+//! ratios of ours to the fastest of others and of packets to single rays, by scene, and their medians. With `--threads`, only how much faster
+//! two threads are than one, in wall-clock time: for that the machine has to be at rest.
+//!
+//! Crates that don't choose kernels at run time want `RUSTFLAGS="-C target-cpu=native"`; without, tinybvh's tree of eight does not take part.
 
 mod casters;
 #[allow(dead_code, reason = "of some crates only the traversal takes part here, and of some only the tree")]
@@ -23,9 +26,7 @@ use embree_trace::progress::Progress;
 use embree_trace::random::Random;
 use embree_trace::recipe::{Heuristic, Recipe};
 use embree_trace::traverse::packet::MOST;
-use embree_trace::traverse::{
-    All, Counts, Hit, OcclusionOrder, PacketScratch, Prepared, PreparedRay, Scratch, Traversal,
-};
+use embree_trace::traverse::{All, Counts, OcclusionOrder, Prepared, PreparedRay, Scratch, Traversal};
 use embree_trace::tree::{Tree, collapse, likely};
 use obvhs::BvhBuildParams;
 use peers::Peer;
@@ -44,6 +45,11 @@ const PURPOSES: [Purpose; 3] = [Purpose::Camera, Purpose::Diffuse, Purpose::Shad
 fn main() {
     let paths: Vec<String> =
         std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
+    let (titles, compare): (&[&str], Compare) = match std::env::args().any(|argument| argument == "--threads")
+    {
+        true => (&THREADS, threads),
+        false => (&RACE, race),
+    };
     let mut ratios = Vec::new();
     if paths.is_empty() {
         let triangles = courtyard(64, 1).triangles();
@@ -64,7 +70,12 @@ fn main() {
         let name = Path::new(bvh_path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
         ratios.push((name, compare(bvh_path, bvh.triangles, &records)));
     }
-    print_ratios(&ratios);
+    for (place, title) in titles.iter().enumerate() {
+        print_ratios(
+            title,
+            ratios.iter().map(|(name, ratios)| (name.as_str(), ratios.each_ref().map(|of| of[place]))),
+        );
+    }
 }
 
 fn open(path: &str) -> MappedFile {
@@ -79,9 +90,11 @@ enum Side {
     BinaryCounting,
     /// Packets over our binary tree: the target is `Binary`.
     Packets,
-    /// Our tree of eight: the target is `Embree`.
+    /// Our tree of eight: the targets are `Embree`, and every crate.
     Eight,
     BinaryPeer,
+    /// Trees of eight of other crates.
+    WidePeer,
     Embree,
     /// Shown only.
     Other,
@@ -113,17 +126,52 @@ impl Trees {
     }
 }
 
-/// Ratios by purpose, see [`TITLES`].
-type Ratios = [[f64; TITLES.len()]; 3];
+/// Runs what there is to run on the queries of one scene, called by a name. Returns ratios by purpose.
+type Compare = fn(&str, &[Triangle], &[Record]) -> Ratios;
 
-const TITLES: [&str; 4] = [
+/// By purpose a ratio for each title.
+type Ratios = [Vec<f64>; 3];
+
+const THREADS: [&str; 2] = ["two threads / one, 8 wide", "two threads / one, Embree medium"];
+
+/// How much faster two threads are, ours and Embree's.
+fn threads(_: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
+    let tree = Trees::new(triangles).eight;
+    let eight = Prepared::new(tree.view(), triangles, &[]);
+    let ours = || Ours::<()>::in_order(&eight, OcclusionOrder::Outside);
+    #[cfg(feature = "embree")]
+    let scenes = EmbreeScenes::new(triangles);
+    PURPOSES.map(|purpose| {
+        let queries = queries(records, purpose);
+        #[cfg(feature = "embree")]
+        let embree = two_over_one(|| EmbreeCaster::new(scenes.medium()), &queries, LEAST, ROUNDS);
+        #[cfg(not(feature = "embree"))]
+        let embree = f64::NAN;
+        vec![two_over_one(ours, &queries, LEAST, ROUNDS), embree]
+    })
+}
+
+/// Queries of one purpose without rejects, [`QUERIES`] about, spread over the recording.
+fn queries(records: &[Record], purpose: Purpose) -> Vec<Record> {
+    let chosen: Vec<Record> = records
+        .iter()
+        .filter(|r| Purpose::from_byte(r.purpose) == purpose && r.flags & flag::HAS_REJECTS == 0)
+        .copied()
+        .collect();
+    let every = chosen.len().div_ceil(QUERIES).max(1);
+    chosen.chunks(MOST).step_by(every).flatten().copied().collect()
+}
+
+const RACE: [&str; 5] = [
     "binary / fastest binary crate",
     "the same, counting",
     "8 wide / fastest Embree (medium, high)",
+    "8 wide / fastest crate of any width",
     "packets of 256 / single rays, binary",
 ];
 
-fn compare(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
+/// Every contender, one thread.
+fn race(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
     let prepared = |tree: &Tree| Prepared::new(tree.view(), triangles, &[]);
     let trees = Trees::new(triangles);
     let (binary, four, eight) = (prepared(&trees.binary), prepared(&trees.four), prepared(&trees.eight));
@@ -138,7 +186,7 @@ fn compare(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
     let (odf, ray_order) = (Traversal::Odf, Traversal::RayOrder);
     #[cfg(feature = "embree")]
     let scenes = EmbreeScenes::new(triangles);
-    #[cfg_attr(not(feature = "embree"), expect(unused_mut, reason = "Embree's rows are added"))]
+    #[allow(unused_mut, reason = "rows are added where their library and the processor's features are there")]
     let mut contenders: Vec<(&str, Side, Runner)> = vec![
         ("ours ODF", Side::Binary, runner(Ours::<()>::new(&binary, odf))),
         ("ours ODF, counting", Side::BinaryCounting, runner(Ours::<Counts>::new(&binary, odf))),
@@ -172,6 +220,11 @@ fn compare(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
         ),
         ("tinybvh-rs", Side::BinaryPeer, runner(TinyBvhCaster(tiny))),
         ("tinybvh-rs HQ", Side::BinaryPeer, runner(TinyBvhCaster(tiny_hq))),
+        (
+            "obvhs very slow, 8 wide",
+            Side::WidePeer,
+            runner(CwBvhCaster::new(triangles, BvhBuildParams::very_slow_build())),
+        ),
         ("parry3d", Side::BinaryPeer, runner(ParryCaster::new(triangles))),
         ("bvh", Side::BinaryPeer, runner(BvhCrateCaster::new(triangles))),
         ("ours ODF, 4 wide", Side::Other, runner(Ours::<()>::new(&four, odf))),
@@ -184,18 +237,17 @@ fn compare(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
         ),
         ("ours RayOrder, 8 wide", Side::Other, runner(Ours::<()>::new(&eight, ray_order))),
     ];
+    #[cfg(target_feature = "avx2")]
+    contenders.extend(
+        [("tinybvh-rs, 8 wide", false), ("tinybvh-rs HQ, 8 wide", true)]
+            .map(|(name, spatial)| (name, Side::WidePeer, runner(TinyBvhEight::new(triangles, spatial)))),
+    );
     #[cfg(feature = "embree")]
     contenders.extend(scenes.casters().map(|(name, caster)| (name, Side::Embree, runner(caster))));
     PURPOSES.map(|purpose| {
-        let chosen: Vec<Record> = records
-            .iter()
-            .filter(|r| Purpose::from_byte(r.purpose) == purpose && r.flags & flag::HAS_REJECTS == 0)
-            .copied()
-            .collect();
-        let every = chosen.len().div_ceil(QUERIES).max(1);
-        let queries = chosen.chunks(MOST).step_by(every).flatten().copied().collect::<Vec<Record>>();
+        let queries = queries(records, purpose);
         if queries.is_empty() {
-            return [f64::NAN; TITLES.len()];
+            return vec![f64::NAN; RACE.len()];
         }
         println!("\n{name}, {} triangles, {}: {} queries", triangles.len(), purpose.name(), queries.len());
         let rates = measured(&mut contenders, &queries);
@@ -214,10 +266,11 @@ fn compare(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
         };
         let peer = best(Side::BinaryPeer);
         let alone = rates[0];
-        [
+        vec![
             ours(Side::Binary) / peer,
             ours(Side::BinaryCounting) / peer,
             ours(Side::Eight) / best(Side::Embree),
+            ours(Side::Eight) / peer.max(best(Side::WidePeer)),
             best(Side::Packets) / alone,
         ]
     })
@@ -260,69 +313,20 @@ fn measured(contenders: &mut [(&str, Side, Runner)], queries: &[Record]) -> Vec<
     rates
 }
 
-fn print_ratios(scenes: &[(String, Ratios)]) {
-    for (place, title) in TITLES.iter().enumerate() {
-        println!("\n{title:<40}{}", PURPOSES.map(|purpose| format!("{:>10}", purpose.name())).concat());
-        for (name, ratios) in scenes {
-            println!("{name:<40}{}", ratios.map(|ratios| format!("{:>10.2}", ratios[place])).concat());
-        }
-        let medians = [0, 1, 2].map(|purpose| {
-            let mut all: Vec<f64> = scenes.iter().map(|(_, ratios)| ratios[purpose][place]).collect();
-            all.retain(|ratio| ratio.is_finite());
-            all.sort_by(f64::total_cmp);
-            format!("{:>10.2}", all.get(all.len() / 2).copied().unwrap_or(f64::NAN))
-        });
-        println!("{:<40}{}", "median", medians.concat());
-    }
-}
-
-/// Casts all queries, and counts the answers that are the recorded ones.
-type Runner<'a> = Box<dyn FnMut(&[Record]) -> usize + 'a>;
-
-fn runner<'a>(mut caster: impl Caster + 'a) -> Runner<'a> {
-    Box::new(move |records| {
-        let mut right = 0;
-        for record in records {
-            right += if record.is_occlusion() {
-                caster.occluded(record) == record.is_hit()
-            } else {
-                agrees(record, caster.closest(record))
-            } as usize;
-        }
-        right
-    })
-}
-
-/// Whether a closest hit at `t` is the recorded one.
-fn agrees(record: &Record, t: f32) -> bool {
-    if record.is_hit() { (t - record.t).abs() <= 1e-3 * record.t } else { t.is_nan() || t >= record.tfar }
-}
-
-/// Our traversal, in packets of consecutive queries.
-fn packets(prepared: &Prepared, traversal: Traversal, size: usize) -> Runner<'_> {
-    let mut scratch = PacketScratch::default();
-    let (mut rays, mut answers) = (Vec::with_capacity(size), vec![None; size]);
-    Box::new(move |records| {
-        let mut right = 0;
-        for records in records.chunks(size) {
-            rays.clear();
-            rays.extend(records.iter().map(Record::ray));
-            let (candidates, answers) = (&[All; MOST][..records.len()], &mut answers[..records.len()]);
-            // Those of one purpose are of one kind.
-            if records[0].is_occlusion() {
-                let order = &OcclusionOrder::Nearest;
-                prepared.occluders(traversal, order, &rays, candidates, &mut (), &mut scratch, answers);
-                let pairs = records.iter().zip(answers);
-                right += pairs.filter(|(record, answer)| answer.is_some() == record.is_hit()).count();
-            } else {
-                prepared.closest_hits(traversal, &rays, candidates, &mut (), &mut scratch, answers);
-                let t = |answer: &Option<Hit>| answer.map_or(f32::INFINITY, |hit| hit.t);
-                right +=
-                    records.iter().zip(answers).filter(|(record, answer)| agrees(record, t(answer))).count();
-            }
-        }
-        right
-    })
+/// A line for each scene, and the medians.
+fn print_ratios<'a>(title: &str, scenes: impl Iterator<Item = (&'a str, [f64; 3])> + Clone) {
+    println!("\n{title:<40}{}", PURPOSES.map(|purpose| format!("{:>10}", purpose.name())).concat());
+    let print = |name: &str, ratios: [f64; 3]| {
+        println!("{name:<40}{}", ratios.map(|ratio| format!("{ratio:>10.2}")).concat());
+    };
+    scenes.clone().for_each(|(name, ratios)| print(name, ratios));
+    let medians = [0, 1, 2].map(|purpose| {
+        let mut all: Vec<f64> =
+            scenes.clone().map(|(_, ratios)| ratios[purpose]).filter(|r| r.is_finite()).collect();
+        all.sort_by(f64::total_cmp);
+        all.get(all.len() / 2).copied().unwrap_or(f64::NAN)
+    });
+    print("median", medians);
 }
 
 /// Time that this thread has spent on a processor, from Linux; elsewhere the wall clock.

@@ -30,11 +30,22 @@ impl EmbreeScenes {
     }
 
     pub fn casters(&self) -> impl Iterator<Item = (&'static str, EmbreeCaster<'_>)> {
-        self.0.iter().map(|(name, scene)| (*name, EmbreeCaster(scene.intersector().expect("an intersector"))))
+        self.0.iter().map(|(name, scene)| (*name, EmbreeCaster::new(scene)))
+    }
+
+    /// Embree's default.
+    pub fn medium(&self) -> &Scene {
+        &self.0[0].1
     }
 }
 
 pub struct EmbreeCaster<'a>(Intersector<'a>);
+
+impl EmbreeCaster<'_> {
+    pub fn new(scene: &Scene) -> EmbreeCaster<'_> {
+        EmbreeCaster(scene.intersector().expect("an intersector"))
+    }
+}
 
 impl Caster for EmbreeCaster<'_> {
     fn closest(&mut self, record: &Record) -> f32 {

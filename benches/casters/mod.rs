@@ -1,10 +1,16 @@
-//! Who casts rays: our traversals, other crates' binary trees with their own traversal and triangle test, and Embree.
+//! Who casts rays: our traversals, other crates' trees with their own traversal and triangle test, and Embree.
 
 #[cfg(feature = "embree")]
 mod embree;
+mod packets;
+mod threads;
+mod wide;
 
 #[cfg(feature = "embree")]
-pub use embree::EmbreeScenes;
+pub use embree::{EmbreeCaster, EmbreeScenes};
+pub use packets::{Runner, packets, runner};
+pub use threads::two_over_one;
+pub use wide::*;
 
 use super::peers::Peer;
 use super::peers::obvhs_crate::Obvhs;
@@ -125,9 +131,9 @@ pub struct TinyBvhCaster<'a>(pub BVH<'a>);
 #[repr(align(64))]
 struct Aligned(tinybvh_rs::Ray);
 
-impl TinyBvhCaster<'_> {
+impl Aligned {
     /// t in units of the direction's length: it takes any length as long as the inverse agrees.
-    fn cast(&self, record: &Record) -> f32 {
+    fn cast(tree: &impl Intersector, record: &Record) -> f32 {
         let end = record.tfar.min(tinybvh_rs::INFINITE);
         let mut ray = Aligned(tinybvh_rs::Ray {
             origin: record.origin.to_array(),
@@ -138,18 +144,18 @@ impl TinyBvhCaster<'_> {
             hit: tinybvh_rs::Intersection { t: end, ..Default::default() },
             ..Default::default()
         });
-        self.0.intersect(&mut ray.0);
+        tree.intersect(&mut ray.0);
         if ray.0.hit.t < end { ray.0.hit.t } else { f32::INFINITY }
     }
 }
 
 impl Caster for TinyBvhCaster<'_> {
     fn closest(&mut self, record: &Record) -> f32 {
-        self.cast(record)
+        Aligned::cast(&self.0, record)
     }
 
     fn occluded(&mut self, record: &Record) -> bool {
-        self.cast(record).is_finite()
+        self.closest(record).is_finite()
     }
 }
 
