@@ -41,7 +41,7 @@ typedef struct ExchangeHeader {
   uint32_t scenes;    /* numbers given */
   uint32_t captures;  /* scenes committed and captured */
   uint32_t embree_version;
-  uint32_t foreign; /* calls of Embree went to a library that is not libembree3 */
+  uint32_t foreign; /* calls of Embree went to a library that is neither libembree3 nor libembree4 */
   uint64_t unrecorded;   /* queries for which there was no slot */
   uint64_t unnumbered;   /* queries of scenes that could not be captured */
   uint64_t lost_rejects; /* rejects that could not be assigned, or were too many */

@@ -89,7 +89,7 @@ constexpr auto wrappers = make_wrappers(std::make_index_sequence<most_filters>()
 }  // namespace
 
 RTCFilterFunctionN wrapped(RTCFilterFunctionN filter) noexcept {
-  if (filter == nullptr || exchange() == nullptr || !real().known) return filter;
+  if (filter == nullptr || exchange() == nullptr || !real().is_known()) return filter;
   for (std::size_t number = 0; number < most_filters; number++) {
     if (wrappers[number] == filter) return filter;
     RTCFilterFunctionN there = filters[number].load(std::memory_order_acquire);

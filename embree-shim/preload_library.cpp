@@ -1,27 +1,56 @@
 // Finds the real Embree: the next library in the search order, or, where the program loaded it privately (RTLD_LOCAL, as
-// Python does with its modules), the one that is loaded by that name.
+// Python does with its modules), the one that is loaded, by its name. Wheels rename theirs: libembree4-4aef3270.so.4.
 #include "preload_library.hpp"
 
 #include <dlfcn.h>
+#include <link.h>
 
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <string>
+#include <type_traits>
+#include <utility>
 
 #include "preload_exchange.hpp"
 
 namespace preload {
 namespace {
 
-constexpr const char* names[] = {"libembree3.so.3", "libembree3.so"};
+constexpr const char* three = "libembree3";
+constexpr const char* four = "libembree4";
 
-void* find(const char* name, bool needed) noexcept {
+// The path of a loaded library whose file's name starts with `start`; empty when there is none.
+std::string loaded_path(const char* start) {
+  std::pair<const char*, std::string> search{start, {}};
+  dl_iterate_phdr(
+      [](dl_phdr_info* info, std::size_t, void* into) {
+        auto& [start, path] = *static_cast<decltype(search)*>(into);
+        const char* slash = std::strrchr(info->dlpi_name, '/');
+        const char* file = slash == nullptr ? info->dlpi_name : slash + 1;
+        if (std::strncmp(file, start, std::strlen(start)) != 0) return 0;
+        path = info->dlpi_name;
+        return 1;
+      },
+      &search);
+  return search.second;
+}
+
+// A privately loaded Embree; null when there is none. Not closed again: what it holds is in use.
+void* private_library() {
+  for (const char* start : {three, four}) {
+    const std::string path = loaded_path(start);
+    if (path.empty()) continue;
+    if (void* handle = dlopen(path.c_str(), RTLD_NOLOAD | RTLD_NOW)) return handle;
+  }
+  return nullptr;
+}
+
+void* find(const char* name, bool needed) {
   if (void* next = dlsym(RTLD_NEXT, name)) return next;
-  for (const char* library : names) {
-    // Not closed again: what it holds is in use.
-    if (void* handle = dlopen(library, RTLD_NOLOAD | RTLD_NOW)) {
-      if (void* function = dlsym(handle, name)) return function;
-    }
+  static void* const handle = private_library();
+  if (handle != nullptr) {
+    if (void* function = dlsym(handle, name)) return function;
   }
   if (needed) {
     std::fprintf(stderr, "embree-trace: error: %s is in no library that this program has loaded\n", name);
@@ -30,20 +59,30 @@ void* find(const char* name, bool needed) noexcept {
   return nullptr;
 }
 
-bool is_embree3(const void* function) noexcept {
+Version version_of(const void* function) noexcept {
   Dl_info info;
-  return dladdr(function, &info) != 0 && info.dli_fname != nullptr && std::strstr(info.dli_fname, "libembree3") != nullptr;
+  if (dladdr(function, &info) == 0 || info.dli_fname == nullptr) return Version::other;
+  const auto is = [&](const char* start) { return std::strstr(info.dli_fname, start) != nullptr; };
+  return is(three) ? Version::three : is(four) ? Version::four : Version::other;
 }
 
 Library load() noexcept {
   Library library;
-  library.known = is_embree3(find("rtcNewScene", true));
+  library.version = version_of(find("rtcNewScene", true));
+  const auto get = [](auto& function, const char* name, bool needed) {
+    function = reinterpret_cast<std::remove_reference_t<decltype(function)>>(find(name, needed));
+  };
   // Another version may lack what it was never asked for.
-#define PRELOAD_FIND(name) library.name = reinterpret_cast<decltype(library.name)>(find(#name, library.known));
+#define PRELOAD_FIND(name) get(library.name, #name, library.is_known());
   PRELOAD_FUNCTIONS(PRELOAD_FIND)
 #undef PRELOAD_FIND
+#define PRELOAD_FIND(name) get(library.name, #name, library.version == Version::three);
+  PRELOAD_STREAMS(PRELOAD_FIND)
+#undef PRELOAD_FIND
+  get(library.rtcSetSharedGeometryBufferHostDevice, "rtcSetSharedGeometryBufferHostDevice", false);
+  get(library.rtcSetNewGeometryBufferHostDevice, "rtcSetNewGeometryBufferHostDevice", false);
   ExchangeHeader* header = exchange();
-  if (header != nullptr && !library.known) store(header->foreign, 1u);
+  if (header != nullptr && !library.is_known()) store(header->foreign, 1u);
   return library;
 }
 

@@ -1,11 +1,7 @@
-// Decorates the calls that ask: the ray as it is asked -> Embree -> a record of ray and answer in the thread's slot.
-//
-// All forms of a ray, one, packets and streams, have their fields in the same order, so that one template serves them: it is
-// given where field f of lane i stands. The program's memory is read, never written, but for a context's filter.
-#include <algorithm>
-
-#include "preload_filters.hpp"
-#include "preload_thread.hpp"
+// Decorates the calls that ask, under Embree's names and with Embree 3's prototypes. Where the program has Embree 4, the same
+// registers hold other things, and preload_embree4.hpp knows which.
+#include "preload_call.hpp"
+#include "preload_embree4.hpp"
 
 namespace preload {
 namespace {
@@ -13,133 +9,25 @@ namespace {
 // Rays that are asked at once. Longer streams are passed on in blocks, a multiple of every width that Embree has kernels for.
 constexpr unsigned block_lanes = 1024;
 
-// A call under way; `recorded` says whether it is one to record.
-class Call {
- public:
-  Call(RTCScene scene, RTCIntersectContext* context) noexcept {
-    if (__builtin_expect(exchange() == nullptr || !real().known, 0)) return;
-    Thread* thread = this_thread();
-    if (thread == nullptr) return;
-    const Thread::Known* known = thread->find(scene);
-    if (known == nullptr) {
-      if (ExchangeHeader* header = exchange()) add(header->unnumbered, std::uint64_t{1});
-      return;
-    }
-    // The thread may forget the scene before the call ends: callbacks ask, too.
-    scene_ = *known;
-    coherent_ = (context->flags & RTC_INTERSECT_CONTEXT_FLAG_COHERENT) != 0;
-    // It stays: threads may share a context.
-    if (context->filter != nullptr) context->filter = wrapped(context->filter);
-    frame_ = {thread, scene_.capture, thread->frame, thread->rejected_count, 1, nullptr, nullptr};
-    thread->frame = &frame_;
-  }
-
-  ~Call() {
-    if (frame_.thread == nullptr) return;
-    frame_.thread->rejected_count = frame_.first_rejected;
-    frame_.thread->frame = frame_.outer;
-  }
-
-  Call(const Call&) = delete;
-  Call& operator=(const Call&) = delete;
-
-  bool recorded() const noexcept { return frame_.thread != nullptr; }
-
-  // Tells filters which rays are being asked.
-  template <typename At>
-  void expect(unsigned lanes, const At& at) noexcept {
-    frame_.lanes = lanes;
-    frame_.rays = &at;
-    frame_.at = [](const void* rays, unsigned lane, unsigned field) { return (*static_cast<const At*>(rays))(lane, field); };
-  }
-
-  // Puts the rejects of a packet or block in the order of its lanes, before its records are made.
-  void sort() noexcept {
-    Rejected* rejected = frame_.thread->rejected;
-    std::sort(rejected + frame_.first_rejected, rejected + frame_.thread->rejected_count,
-              [](const Rejected& a, const Rejected& b) { return a.lane < b.lane; });
-    next_ = frame_.first_rejected;
-  }
-
-  template <typename At>
-  void record(unsigned lane, bool closest, At at, float asked_tfar, std::uint32_t geometry_before) noexcept {
-    Thread& thread = *frame_.thread;
-    const std::uint32_t first = next_;
-    while (next_ < thread.rejected_count && thread.rejected[next_].lane == lane) next_++;
-    preload::record(thread, scene_, closest, coherent_, at, asked_tfar, geometry_before, thread.rejected + first,
-                    next_ - first);
-  }
-
-  template <typename At>
-  void record_single(bool closest, At at, float asked_tfar, std::uint32_t geometry_before) noexcept {
-    next_ = frame_.first_rejected;
-    record(0, closest, at, asked_tfar, geometry_before);
-  }
-
-  // Before the next block.
-  void forget_rejects() noexcept { frame_.thread->rejected_count = frame_.first_rejected; }
-
- private:
-  Frame frame_{};
-  Thread::Known scene_{};
-  std::uint32_t next_ = 0;
-  bool coherent_ = false;
-};
-
-const float* field_of(const void* ray, unsigned field) noexcept { return static_cast<const float*>(ray) + field; }
-
-void intersect_1(RTCScene scene, RTCIntersectContext* context, RTCRayHit* rayhit) noexcept {
-  // Of another version, whose arguments are others.
-  if (__builtin_expect(!real().known, 0)) return real().rtcIntersect1(scene, context, rayhit);
-  Call call(scene, context);
-  const float asked_tfar = rayhit->ray.tfar;
-  const std::uint32_t before = rayhit->hit.geomID;
-  real().rtcIntersect1(scene, context, rayhit);
-  if (call.recorded()) call.record_single(true, [rayhit](unsigned f) { return field_of(rayhit, f); }, asked_tfar, before);
+bool is_coherent(const RTCIntersectContext* context) noexcept {
+  return (context->flags & RTC_INTERSECT_CONTEXT_FLAG_COHERENT) != 0;
 }
 
-void occluded_1(RTCScene scene, RTCIntersectContext* context, RTCRay* ray) noexcept {
-  if (__builtin_expect(!real().known, 0)) return real().rtcOccluded1(scene, context, ray);
-  Call call(scene, context);
-  const float asked_tfar = ray->tfar;
-  real().rtcOccluded1(scene, context, ray);
-  if (call.recorded()) call.record_single(false, [ray](unsigned f) { return field_of(ray, f); }, asked_tfar, 0);
-}
+// Of Embree 4, or of a version whose arguments are unknown.
+bool is_other() noexcept { return __builtin_expect(real().version != Version::three, 0); }
 
-// Asks `lanes` rays with `ask`; `at(lane, field)` is where a field stands, `active(lane)` whether the ray is one.
-template <unsigned most, bool closest, typename At, typename Active, typename Ask>
-void ask_block(Call& call, unsigned lanes, At at, Active active, Ask ask) noexcept {
-  float asked_tfar[most];
-  std::uint32_t before[most];
-  bool asked[most];
-  for (unsigned lane = 0; lane < lanes; lane++) {
-    asked[lane] = active(lane);
-    std::memcpy(&asked_tfar[lane], at(lane, tfar), sizeof(float));
-    if (closest) std::memcpy(&before[lane], at(lane, hit_geometry), sizeof(std::uint32_t));
-  }
-  call.expect(lanes, at);
-  ask();
-  call.sort();
-  for (unsigned lane = 0; lane < lanes; lane++) {
-    if (!asked[lane]) continue;
-    call.record(lane, closest, [&](unsigned field) { return at(lane, field); }, asked_tfar[lane], closest ? before[lane] : 0);
-  }
-  call.forget_rejects();
-}
-
-template <unsigned width, bool closest, typename Ask>
-void packet(const int* valid, RTCScene scene, RTCIntersectContext* context, const void* rays, Ask ask) noexcept {
-  Call call(scene, context);
-  if (!call.recorded()) return ask();
-  const auto at = [rays](unsigned lane, unsigned field) { return field_of(rays, field * width + lane); };
-  ask_block<width, closest>(call, width, at, [valid](unsigned lane) { return valid[lane] == -1; }, ask);
+template <unsigned width, bool closest, typename Function, typename Rays>
+void packet_3(Function function, const int* valid, RTCScene scene, RTCIntersectContext* context, Rays* rays) noexcept {
+  if (is_other()) return embree4::packet<width, closest>(function, valid, scene, context, rays);
+  Call call(scene, is_coherent(context), &context->filter);
+  packet<width, closest>(call, valid, rays, [=] { function(valid, scene, context, rays); });
 }
 
 // A stream of `count` pieces of `width` rays: `at(lane, field)` counts lanes through all of them, `ask(first, count)` asks
 // some of the pieces. A ray of a stream with tnear > tfar is not there.
 template <bool closest, typename At, typename Ask>
 void stream(RTCScene scene, RTCIntersectContext* context, unsigned width, unsigned count, At at, Ask ask) noexcept {
-  Call call(scene, context);
+  Call call(scene, is_coherent(context), &context->filter);
   if (!call.recorded()) return ask(0, count);
   if (width > block_lanes) {
     if (ExchangeHeader* header = exchange()) add(header->unrecorded, std::uint64_t{width} * count);
@@ -218,34 +106,40 @@ void stream_np(Function function, RTCScene scene, RTCIntersectContext* context, 
 
 using namespace preload;
 
-// The decorated calls, under Embree's names and with its prototypes.
+void rtcIntersect1(RTCScene scene, RTCIntersectContext* context, RTCRayHit* rayhit) {
+  if (is_other()) return embree4::single<true>(real().rtcIntersect1, scene, context, rayhit);
+  Call call(scene, is_coherent(context), &context->filter);
+  single<true>(call, rayhit, [=] { real().rtcIntersect1(scene, context, rayhit); });
+}
 
-void rtcIntersect1(RTCScene scene, RTCIntersectContext* context, RTCRayHit* rayhit) { intersect_1(scene, context, rayhit); }
-
-void rtcOccluded1(RTCScene scene, RTCIntersectContext* context, RTCRay* ray) { occluded_1(scene, context, ray); }
+void rtcOccluded1(RTCScene scene, RTCIntersectContext* context, RTCRay* ray) {
+  if (is_other()) return embree4::single<false>(real().rtcOccluded1, scene, context, ray);
+  Call call(scene, is_coherent(context), &context->filter);
+  single<false>(call, ray, [=] { real().rtcOccluded1(scene, context, ray); });
+}
 
 void rtcIntersect4(const int* valid, RTCScene scene, RTCIntersectContext* context, RTCRayHit4* rayhit) {
-  packet<4, true>(valid, scene, context, rayhit, [=] { real().rtcIntersect4(valid, scene, context, rayhit); });
+  packet_3<4, true>(real().rtcIntersect4, valid, scene, context, rayhit);
 }
 
 void rtcIntersect8(const int* valid, RTCScene scene, RTCIntersectContext* context, RTCRayHit8* rayhit) {
-  packet<8, true>(valid, scene, context, rayhit, [=] { real().rtcIntersect8(valid, scene, context, rayhit); });
+  packet_3<8, true>(real().rtcIntersect8, valid, scene, context, rayhit);
 }
 
 void rtcIntersect16(const int* valid, RTCScene scene, RTCIntersectContext* context, RTCRayHit16* rayhit) {
-  packet<16, true>(valid, scene, context, rayhit, [=] { real().rtcIntersect16(valid, scene, context, rayhit); });
+  packet_3<16, true>(real().rtcIntersect16, valid, scene, context, rayhit);
 }
 
 void rtcOccluded4(const int* valid, RTCScene scene, RTCIntersectContext* context, RTCRay4* ray) {
-  packet<4, false>(valid, scene, context, ray, [=] { real().rtcOccluded4(valid, scene, context, ray); });
+  packet_3<4, false>(real().rtcOccluded4, valid, scene, context, ray);
 }
 
 void rtcOccluded8(const int* valid, RTCScene scene, RTCIntersectContext* context, RTCRay8* ray) {
-  packet<8, false>(valid, scene, context, ray, [=] { real().rtcOccluded8(valid, scene, context, ray); });
+  packet_3<8, false>(real().rtcOccluded8, valid, scene, context, ray);
 }
 
 void rtcOccluded16(const int* valid, RTCScene scene, RTCIntersectContext* context, RTCRay16* ray) {
-  packet<16, false>(valid, scene, context, ray, [=] { real().rtcOccluded16(valid, scene, context, ray); });
+  packet_3<16, false>(real().rtcOccluded16, valid, scene, context, ray);
 }
 
 void rtcIntersect1M(RTCScene scene, RTCIntersectContext* context, RTCRayHit* rayhit, unsigned int M, size_t byteStride) {

@@ -43,7 +43,7 @@ Registry* made() noexcept {
 // Runs `work` under the lock, unless this process is not recorded. What cannot be followed ends the recording, not the program.
 template <typename Work>
 void follow(Work&& work) noexcept {
-  if (exchange() == nullptr || !real().known) return;
+  if (exchange() == nullptr || !real().is_known()) return;
   try {
     const std::lock_guard<std::mutex> lock(registry().lock);
     work(registry());
@@ -142,7 +142,7 @@ std::shared_ptr<Scene> scene_of(RTCScene handle) {
 }
 
 void after_commit(RTCScene handle) noexcept {
-  if (exchange() == nullptr || !real().known) return;
+  if (exchange() == nullptr || !real().is_known()) return;
   try {
     if (const auto scene = scene_of(handle)) capture(*scene);
   } catch (...) {
@@ -258,6 +258,7 @@ RTCGeometry rtcNewGeometry(RTCDevice device, RTCGeometryType type) {
     auto geometry = std::make_shared<Geometry>();
     geometry->handle = handle;
     geometry->type = type;
+    if (real().version == Version::four) geometry->mask = embree4::default_mask;
     registry.geometries[handle] = std::move(geometry);
   });
   return handle;
@@ -323,6 +324,25 @@ void* rtcSetNewGeometryBuffer(RTCGeometry geometry, RTCBufferType type, unsigned
   void* data = real().rtcSetNewGeometryBuffer(geometry, type, slot, format, stride, count);
   if (data != nullptr) set_buffer(geometry, type, slot, format, stride, count);
   return data;
+}
+
+// Embree 4.4's.
+extern "C" {
+
+__attribute__((visibility("default"))) void rtcSetSharedGeometryBufferHostDevice(
+    RTCGeometry geometry, RTCBufferType type, unsigned slot, RTCFormat format, const void* data, const void* device_data,
+    std::size_t offset, std::size_t stride, std::size_t count) {
+  real().rtcSetSharedGeometryBufferHostDevice(geometry, type, slot, format, data, device_data, offset, stride, count);
+  set_buffer(geometry, type, slot, format, stride, count);
+}
+
+__attribute__((visibility("default"))) void rtcSetNewGeometryBufferHostDevice(
+    RTCGeometry geometry, RTCBufferType type, unsigned slot, RTCFormat format, std::size_t stride, std::size_t count,
+    void** data, void** device_data) {
+  real().rtcSetNewGeometryBufferHostDevice(geometry, type, slot, format, stride, count, data, device_data);
+  set_buffer(geometry, type, slot, format, stride, count);
+}
+
 }
 
 void rtcUpdateGeometryBuffer(RTCGeometry geometry, RTCBufferType type, unsigned int slot) {

@@ -2,166 +2,30 @@
 //! print or draw is the same with and without; what is recorded is what they saw, and replays without a mismatch.
 #![cfg(feature = "embree")]
 
+mod preload_support;
+
 use embree_trace::files::MappedFile;
 use embree_trace::format::bvh::{self, Bvh};
 use embree_trace::format::rays::{Purpose, Rays, Record, flag};
 use embree_trace::geometry::Triangle;
-use std::collections::BTreeMap;
+use preload_support::{Judged, Run, compiled_host, lines, unrecorded_host};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Command;
 use std::sync::OnceLock;
 use tempfile::TempDir;
 
 /// The program of `preload_support/host.cpp`, compiled once.
 fn host() -> &'static Path {
     static HOST: OnceLock<(TempDir, PathBuf)> = OnceLock::new();
-    let (_, path) = HOST.get_or_init(|| {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("host");
-        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/preload_support/host.cpp");
-        let compiled = Command::new("c++")
-            .args(["-std=c++17", "-O1", "-o"])
-            .arg(&path)
-            .arg(source)
-            .args(["-lembree3", "-lpthread"])
-            .output()
-            .expect("a C++ compiler (tools/setup installs it)");
-        assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
-        (directory, path)
-    });
-    path
+    &HOST.get_or_init(|| compiled_host(&["-lembree3"])).1
 }
 
-/// Replayed queries, those that are not judged as they hit no triangle, and those that are not because something moved.
-#[derive(Debug, Default, PartialEq)]
-struct Judged {
-    queries: u64,
-    unchecked: u64,
-    moving: u64,
+fn run_host(options: &[&str], what: &str) -> Run {
+    Run::of_host(host(), options, what)
 }
 
-/// A recorded run of a program.
-struct Run {
-    directory: TempDir,
-    output: Output,
-}
-
-impl Run {
-    fn new(options: &[&str], program: &Path, arguments: &[&str]) -> Run {
-        let directory = tempfile::tempdir().unwrap();
-        let output = Command::new(env!("CARGO_BIN_EXE_embree-trace"))
-            .arg("record")
-            .args(options)
-            .args(["--savetrace", "casts.rays", "built.bvh", "--"])
-            .arg(program)
-            .args(arguments)
-            .current_dir(directory.path())
-            .output()
-            .unwrap();
-        Run { directory, output }
-    }
-
-    fn of_host(options: &[&str], what: &str) -> Run {
-        let run = Run::new(options, host(), &[what]);
-        assert!(run.output.status.success(), "{what}: {}", run.said());
-        run
-    }
-
-    fn said(&self) -> String {
-        String::from_utf8_lossy(&self.output.stderr).into_owned()
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.directory.path().join(name)
-    }
-
-    fn rays(&self) -> MappedFile {
-        MappedFile::open(&self.path("casts.rays")).unwrap()
-    }
-
-    /// Trees by scene number.
-    fn trees(&self) -> Vec<MappedFile> {
-        let path = |number| self.path(&tree_name(number));
-        (0..)
-            .take_while(|&number| path(number).exists())
-            .map(|number| MappedFile::open(&path(number)).unwrap())
-            .collect()
-    }
-
-    /// Checks both files whole, and replays every scene over its tree. Nothing may disagree.
-    fn replayed(&self) -> Judged {
-        let file = self.rays();
-        let rays = Rays::parse(&file).unwrap();
-        rays.validate_all().unwrap();
-        assert!(rays.recovery.is_none());
-        let good = |binary: &str, arguments: &[&str]| {
-            let output =
-                Command::new(binary).args(arguments).current_dir(self.directory.path()).output().unwrap();
-            assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-            output.stdout
-        };
-        let mut judged = Judged::default();
-        for number in 0..self.trees().len() {
-            let (tree, scene) = (tree_name(number), number.to_string());
-            good(env!("CARGO_BIN_EXE_trace-info"), &[&tree, "--verify"]);
-            // Exits with 1 on a mismatch.
-            let compared = good(
-                env!("CARGO_BIN_EXE_bvh-compare"),
-                &[&tree, "casts.rays", "--scene", &scene, "--traversal", "odf", "--format", "json"],
-            );
-            let compared: serde_json::Value = serde_json::from_slice(&compared).unwrap();
-            let counts = &compared["trees"][0]["traversals"]["odf"];
-            let count = |name: &str| counts[name].as_u64().unwrap();
-            judged.queries += count("queries");
-            judged.unchecked += count("unchecked");
-            judged.moving += count("moving");
-        }
-        good(env!("CARGO_BIN_EXE_trace-info"), &["casts.rays", "--verify"]);
-        assert_eq!(judged.queries, rays.query_count(), "every scene has its tree");
-        judged
-    }
-
-    /// The records of each thread, in its order, with the fields that a program sees of them as `host.cpp` prints them.
-    fn seen(&self) -> BTreeMap<u32, Vec<String>> {
-        let (file, trees) = (self.rays(), self.trees());
-        let rays = Rays::parse(&file).unwrap();
-        let trees: Vec<Bvh> = trees.iter().map(|file| Bvh::parse(file).unwrap()).collect();
-        let mut threads: BTreeMap<u32, Vec<String>> = BTreeMap::new();
-        for chunk in 0..rays.chunks().len() {
-            let chunk = rays.chunk(chunk).unwrap();
-            let lines = chunk.records.iter().map(|record| line(record, &trees[chunk.info.scene as usize]));
-            threads.entry(chunk.info.thread).or_default().extend(lines);
-        }
-        threads
-    }
-}
-
-fn tree_name(scene: usize) -> String {
-    if scene == 0 { "built.bvh".to_owned() } else { format!("built.{scene}.bvh") }
-}
-
-/// t, geometry, primitive and instance, as `host.cpp` prints them.
-fn line(record: &Record, tree: &Bvh) -> String {
-    let t = record.t.to_bits();
-    if record.is_occlusion() || !record.is_hit() {
-        return format!("{t:08x} -1 -1 -1");
-    }
-    let geometry = tree
-        .geometries
-        .iter()
-        .find(|g| (g.first_triangle..g.first_triangle + g.triangle_count).contains(&record.triangle));
-    let geometry = geometry.expect("a triangle of a geometry");
-    let primitive = (record.triangle - geometry.first_triangle) / (geometry.kind + 1);
-    format!("{t:08x} {} {primitive} {}", geometry.geometry as i32, geometry.instance as i32)
-}
-
-fn lines(output: &[u8]) -> Vec<String> {
-    String::from_utf8(output.to_vec()).unwrap().lines().map(str::to_owned).collect()
-}
-
-/// What the host prints when nobody records it.
 fn unrecorded(what: &str) -> Vec<u8> {
-    Command::new(host()).arg(what).output().unwrap().stdout
+    unrecorded_host(host(), what)
 }
 
 /// The program sees what it saw before, and that is recorded, in every form of a query and over every kind of tree.
@@ -170,7 +34,7 @@ fn what_a_program_sees_is_recorded() {
     for what in
         ["plain", "robust", "splits", "packets", "streams", "coherent", "instances", "commits", "motion"]
     {
-        let run = Run::of_host(&[], what);
+        let run = run_host(&[], what);
         assert!(run.output.stdout == unrecorded(what), "{what}");
         let Judged { queries, unchecked, moving } = run.replayed();
         assert!(queries > 5000 && unchecked == 0, "{what}");
@@ -186,7 +50,7 @@ fn what_a_program_sees_is_recorded() {
 #[test]
 fn rejects_of_filters() {
     for what in ["filters", "context-filter", "stream-filters", "coherent-filters"] {
-        let run = Run::of_host(&[], what);
+        let run = run_host(&[], what);
         assert!(run.output.stdout == unrecorded(what), "{what}");
         assert_eq!(run.replayed().unchecked, 0, "{what}");
         assert!(run.seen()[&0] == lines(&run.output.stdout), "{what}");
@@ -201,7 +65,7 @@ fn rejects_of_filters() {
 /// Masks, disabled geometries, instances and commits are in the trees.
 #[test]
 fn scenes_are_as_committed() {
-    let run = Run::of_host(&["--format", "json"], "instances");
+    let run = run_host(&["--format", "json"], "instances");
     let trees = run.trees();
     let tree = Bvh::parse(&trees[0]).unwrap();
     let of = |instance: i32| -> Vec<(u32, u32, u32)> {
@@ -216,7 +80,7 @@ fn scenes_are_as_committed() {
     let report: serde_json::Value = serde_json::from_str(&run.said()).unwrap();
     assert_eq!((&report["records"], &report["scenes"][0]["instances"]), (&8000.into(), &3.into()));
 
-    let run = Run::of_host(&["--format", "json"], "commits");
+    let run = run_host(&["--format", "json"], "commits");
     let report: serde_json::Value = serde_json::from_str(&run.said()).unwrap();
     let scenes = report["scenes"].as_array().unwrap();
     let scene = |number: usize| {
@@ -236,7 +100,7 @@ fn scenes_are_as_committed() {
 fn motion_at_its_first_step() {
     // Queries that found something that moves, and those of them that brute force agrees with; the same for what does not move.
     let agreeing = |what: &str| {
-        let run = Run::of_host(&["--format", "json"], what);
+        let run = run_host(&["--format", "json"], what);
         let report: serde_json::Value = serde_json::from_str(&run.said()).unwrap();
         assert_eq!(
             report["scenes"][0]["moving"], 5,
@@ -278,9 +142,9 @@ fn motion_at_its_first_step() {
 /// Threads that come and go, more than there are slots, and a fork that ends without destructors.
 #[test]
 fn threads_and_forks() {
-    let run = Run::of_host(&[], "threads");
+    let run = run_host(&[], "threads");
     assert_eq!(run.replayed().queries, 8 * 40 * 4000);
-    let first = Run::of_host(&[], "plain").seen()[&0].iter().step_by(2).cloned().collect::<Vec<_>>();
+    let first = run_host(&[], "plain").seen()[&0].iter().step_by(2).cloned().collect::<Vec<_>>();
     let seen = run.seen();
     assert_eq!(seen.len(), 320);
     assert!(seen.values().all(|lines| *lines == first));
@@ -306,9 +170,9 @@ fn a_killed_program() {
 /// Parts of a recording are those of the whole.
 #[test]
 fn parts_can_be_chosen() {
-    let whole = &Run::of_host(&[], "plain").seen()[&0];
+    let whole = &run_host(&[], "plain").seen()[&0];
     let part = |options: &[&str]| {
-        let run = Run::of_host(options, "plain");
+        let run = run_host(options, "plain");
         run.replayed();
         run.seen().remove(&0).unwrap_or_default()
     };
@@ -328,7 +192,7 @@ fn bad_input() {
         assert!(run.said().lines().last().unwrap().contains(expected), "{program}: {}", run.said());
     };
     bad("./does-not-exist", &[], "cannot run ./does-not-exist");
-    bad("true", &[], "has not called a shared libembree3");
+    bad("true", &[], "has not called a shared libembree3 or libembree4");
     let failing = Run::new(&[], Path::new("false"), &[]);
     assert_eq!(failing.output.status.code(), Some(1));
     let same = Command::new(env!("CARGO_BIN_EXE_embree-trace"))
@@ -341,7 +205,7 @@ fn bad_input() {
 /// Scenes too large once flattened have no tree, and that is said; their queries stay.
 #[test]
 fn too_many_triangles() {
-    let run = Run::of_host(&["--max-triangles", "900"], "instances");
+    let run = run_host(&["--max-triangles", "900"], "instances");
     assert!(run.said().contains("946 triangles once its 3 instances are flattened"), "{}", run.said());
     assert!(run.trees().is_empty());
     let file = run.rays();

@@ -52,8 +52,13 @@ RTCGeometry triangles(const Grid& grid) {
   RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
   rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, grid.vertices.data(), 4, sizeof(Vertex),
                              grid.vertices.size() - 1);
+#ifdef EMBREE_4
+  rtcSetSharedGeometryBufferHostDevice(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, grid.indices.data(),
+                                       grid.indices.data(), 4, 16, grid.indices.size() / 4);
+#else
   rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, grid.indices.data(), 4, 16,
                              grid.indices.size() / 4);
+#endif
   rtcCommitGeometry(geometry);
   return geometry;
 }
@@ -201,6 +206,20 @@ void single(RTCScene scene, RTCIntersectContext* context, const std::vector<RTCR
   }
 }
 
+#ifdef EMBREE_4
+// Embree 4 has no streams, and asks traversables as it does scenes.
+void traversable(RTCScene scene, RTCIntersectContext* context, const std::vector<RTCRayHit>& rays) {
+  const RTCScene traversable = rtcGetSceneTraversable(scene);
+  for (RTCRayHit ray : rays) {
+    RTCRay occluded = ray.ray;
+    four::traversable_intersect_1(traversable, context, &ray);
+    print(ray);
+    four::traversable_occluded_1(traversable, context, &occluded);
+    print(occluded);
+  }
+  packets<4, RTCRayHit4>(traversable, context, rays, four::traversable_intersect_4, four::traversable_occluded_4);
+}
+#else
 void streams(RTCScene scene, RTCIntersectContext* context, const std::vector<RTCRayHit>& rays) {
   const auto count = unsigned(rays.size());
   {
@@ -270,6 +289,8 @@ void streams(RTCScene scene, RTCIntersectContext* context, const std::vector<RTC
     for (std::size_t ray = 0; ray < count; ray++) print(fields[8][ray] == -INFINITY ? -INFINITY : INFINITY, -1, -1, -1);
   }
 }
+
+#endif
 
 std::vector<RTCRayHit> random_rays(unsigned count) {
   std::vector<RTCRayHit> rays;
@@ -341,8 +362,13 @@ int main(int, char** arguments) {
     packets<4, RTCRayHit4>(scene, &context, rays, rtcIntersect4, rtcOccluded4);
     packets<8, RTCRayHit8>(scene, &context, rays, rtcIntersect8, rtcOccluded8);
     packets<16, RTCRayHit16>(scene, &context, rays, rtcIntersect16, rtcOccluded16);
+#ifdef EMBREE_4
+  } else if (what == "traversable") {
+    traversable(scene, &context, rays);
+#else
   } else if (what == "streams" || what == "coherent" || what == "stream-filters" || what == "coherent-filters") {
     streams(scene, &context, rays);
+#endif
   } else if (what == "filters" || what == "context-filter") {
     single(scene, &context, rays);
     packets<4, RTCRayHit4>(scene, &context, rays, rtcIntersect4, rtcOccluded4);

@@ -29,7 +29,7 @@ built.1.bvh, …; bvh-compare --scene N replays the queries of one.
 
 Exit code: the program's own, 128 and the signal when it was killed; 2 when there is no recording.";
 
-/// Runs a program that uses Embree 3 and records every query that it asks, with its answer, and every tree that it asks.
+/// Runs a program that uses Embree 3 or 4 and records every query that it asks, with its answer, and every tree that it asks.
 #[derive(Parser)]
 #[command(name = "embree-trace record", version, after_help = EXAMPLES)]
 struct Arguments {
@@ -128,7 +128,7 @@ fn run(arguments: Arguments) -> Result<u8, Failure> {
     if report.seen == 0 && report.status == 0 {
         return Err(Failure::new(match report.processes {
             0 => {
-                "the program has not called a shared libembree3: it may have none, another version, or one linked into it"
+                "the program has not called a shared libembree3 or libembree4: it may have none, another version, or one linked into it"
             }
             _ => "the program has called Embree, but asked it nothing",
         }));

@@ -44,7 +44,7 @@ pub struct Counters {
     pub processes: u32,
     pub threads: u32,
     pub embree_version: u32,
-    /// Calls went to a library that is not libembree3.
+    /// Calls went to a library that is neither libembree3 nor libembree4.
     pub foreign: bool,
     pub unrecorded: u64,
     pub unnumbered: u64,

@@ -38,6 +38,7 @@ impl LeftOut {
 fn kind_name(geometry_type: u32) -> &'static str {
     match geometry_type {
         121 => "instances of scenes that were not committed",
+        122 => "instance arrays",
         2 => "grids",
         8 => "subdivision surfaces",
         15..=71 => "curves and points",
@@ -110,7 +111,11 @@ impl Report {
                 "{lost_rejects} rejects of filters are not recorded: a replay may hit what they rejected"
             ),
         );
-        warn(foreign, "some calls went to a library that is not Embree 3: they are not recorded".to_owned());
+        warn(
+            foreign,
+            "some calls went to a library that is neither Embree 3 nor Embree 4: they are not recorded"
+                .to_owned(),
+        );
         if let Some(failure) = &counters.failure {
             self.warnings.push(format!("the recording ended early: {failure}"));
         }
