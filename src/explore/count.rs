@@ -1,6 +1,6 @@
 //! What the real traversal does, node by node and triangle by triangle: recorded queries are asked again, and an observer counts.
 //!
-//! Everything that [`super::shares`] says follows from these counts, so a recording is
+//! Everything that [`super::shares`], [`super::heat`] and [`super::versus`] say follows from these counts, so a recording is
 //! asked once for all of them.
 
 use super::queries::{Asked, Sampled, Source};

@@ -116,6 +116,13 @@ impl Stack<'_> {
         &mut self.links[since..self.top]
     }
 
+    /// All entries, the top one last.
+    #[inline(always)]
+    pub fn all(&self) -> &[Link] {
+        // Without a bounds check that could panic, nothing is left of this where no observer looks.
+        self.links.get(..self.top).unwrap_or_default()
+    }
+
     #[inline(always)]
     pub fn len(&self) -> usize {
         self.top

@@ -62,9 +62,12 @@ pub(super) fn test<const ANY: bool, M: Machine>(
             let lane = mask.trailing_zeros() as usize % LANES;
             mask &= mask - 1;
             let slot = block * LANES + lane;
-            if hit(&blocks.triangle(slot), distances[lane], leaf.entry, candidates, best) && ANY {
-                observer.primitives(blocks.triangles(first..slot + 1));
-                return true;
+            if hit(&blocks.triangle(slot), distances[lane], leaf.entry, candidates, best) {
+                observer.hit(Hit { t: best.t, triangle: best.triangle });
+                if ANY {
+                    observer.primitives(blocks.triangles(first..slot + 1));
+                    return true;
+                }
             }
         }
         observer.primitives(blocks.triangles(first..end));

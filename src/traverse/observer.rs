@@ -1,5 +1,6 @@
 //! Who watches a traversal. Traversals are compiled once per observer, so one that ignores everything costs nothing.
 
+use super::Hit;
 use super::form::Link;
 use super::triangle::PreparedTriangle;
 
@@ -19,9 +20,22 @@ pub trait Observer {
     #[inline(always)]
     fn inner(&mut self, _node: &Link) {}
 
+    /// After [`Self::inner`]: `followed` is the child that is opened next, if one is already known, and `waiting` all that is put off, of which the
+    /// last is taken up first. Children that are neither were missed.
+    #[inline(always)]
+    fn waiting(&mut self, _followed: Option<&Link>, _waiting: &[Link]) {}
+
+    /// What waited is taken up; it is not `followed` when it begins behind the best hit so far.
+    #[inline(always)]
+    fn popped(&mut self, _link: &Link, _followed: bool) {}
+
     /// A leaf is opened.
     #[inline(always)]
     fn leaf(&mut self, _leaf: &Link) {}
+
+    /// A triangle is hit, no later than any before it. Comes before the triangle's own [`Self::primitive`].
+    #[inline(always)]
+    fn hit(&mut self, _hit: Hit) {}
 
     /// A triangle is tested.
     #[inline(always)]

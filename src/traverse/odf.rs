@@ -35,7 +35,9 @@ pub(super) fn run<const ANY: bool, M: Machine, F: Form<M>>(
     loop {
         if !current.is_leaf() {
             observer.inner(&current);
-            if let Some(child) = order.enter::<M, F>(form, &current, &form_ray, best.t, fetch, &mut stack) {
+            let child = order.enter::<M, F>(form, &current, &form_ray, best.t, fetch, &mut stack);
+            observer.waiting(child.as_ref(), stack.all());
+            if let Some(child) = child {
                 current = child;
                 continue;
             }
@@ -45,8 +47,13 @@ pub(super) fn run<const ANY: bool, M: Machine, F: Form<M>>(
         current = loop {
             match stack.pop() {
                 None => return best,
-                Some(waiting) if waiting.entry <= best.t => break waiting,
-                Some(_) => {}
+                Some(waiting) => {
+                    let followed = waiting.entry <= best.t;
+                    observer.popped(&waiting, followed);
+                    if followed {
+                        break waiting;
+                    }
+                }
             }
         };
     }

@@ -56,10 +56,14 @@ pub(super) fn run<const ANY: bool, M: Machine, F: Form<M>>(
         } else {
             observer.inner(&current);
             form.each(&current, &form_ray, best.t, |child| queue.push(child));
+            observer.waiting(None, &queue.0);
         }
-        match queue.0.pop() {
-            Some(next) if next.entry <= best.t => current = next,
-            _ => return best,
+        let Some(next) = queue.0.pop() else { return best };
+        let followed = next.entry <= best.t;
+        observer.popped(&next, followed);
+        if !followed {
+            return best;
         }
+        current = next;
     }
 }

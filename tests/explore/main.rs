@@ -2,8 +2,11 @@
 
 #[path = "../compare_support/mod.rs"]
 mod compare_support;
+mod rays;
 mod shares;
+mod steps;
 mod walk;
+mod work;
 
 use compare_support::files::{geometries, rays_bytes, records};
 use compare_support::*;
