@@ -11,6 +11,7 @@
 //! | formats | [`mod@format`], [`files`] | `.rays` and `.bvh`, each read and written in one place |
 //! | looking | [`inspect`], [`diff`] | what is in a file, and how two differ |
 //! | building | [`builder`], [`probability`], [`optimize`], [`training`], [`recipe`] | trees from triangles, and from rays how likely a box is hit |
+//! | moving | [`update`] | the tree of a frame, for the next one |
 //! | traversal | [`traverse`], [`replay`] | recorded queries over any tree: counts, and agreement with the recording |
 //! | results | [`compare`], [`report`], [`experiment`] | trees side by side; tables, JSON, heat maps; the paper's figures |
 //! | a window's logic | [`explore`] | walking a tree; where its work goes; what a query does, step by step |
@@ -51,5 +52,6 @@ pub mod report;
 pub mod training;
 pub mod traverse;
 pub mod tree;
+pub mod update;
 #[cfg(feature = "viewer")]
 pub mod view;

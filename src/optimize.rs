@@ -16,12 +16,15 @@
 //! | [`reinsertion`] | every subtree to its best place, many at a time | Meister and Bittner 2018 |
 //! | [`treelets`] | the top of every subtree put together in the best way | Karras and Aila 2013 |
 //!
+//! The measure may be of one frame or of several ([`frames`]).
+//!
 //! All of them give the same tree, byte for byte, for any number of threads, unless a deadline ends them: the limits of the stages are counted
 //! in boxes tested. Whenever they end, the tree is no worse than before.
 
 pub mod annealing;
 #[cfg(test)]
 mod checks;
+pub mod frames;
 pub mod insertion;
 pub mod measure;
 pub mod moves;

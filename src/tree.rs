@@ -4,6 +4,7 @@
 //! byte those of the `NODE` section, so that nothing is converted between file and use.
 
 pub mod collapse;
+pub mod depth_first;
 pub mod epo;
 pub mod leaves;
 pub mod likely;

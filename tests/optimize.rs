@@ -4,6 +4,7 @@ mod soup;
 
 use embree_trace::builder::exhaustive::optimum;
 use embree_trace::builder::{self, Bins, MAX_DEPTH, Splits};
+use embree_trace::geometry::padded::PaddedAabb;
 use embree_trace::geometry::{Aabb, Ray, Triangle, Vec3};
 use embree_trace::optimize::measure::{AreaMeasure, Estimate, Measure, RayMeasure};
 use embree_trace::optimize::{
@@ -55,13 +56,13 @@ fn blend(tree: &Tree, rays: &[Ray]) -> RayMeasure {
 }
 
 /// T, counted anew.
-fn cost<M: Measure>(tree: &Tree, measure: &M) -> f64 {
+fn cost<M: Measure<Bounds = PaddedAabb>>(tree: &Tree, measure: &M) -> f64 {
     let inner = tree.nodes.iter().filter(|node| !node.is_leaf());
     inner.map(|node| measure.values(&measure.whole(), &[node.bounds().into()])[0]).sum()
 }
 
 /// Optimises a copy and checks what the report says of it.
-fn optimize<M: Measure>(tree: &Tree, measure: &M, config: &Config) -> (Tree, Report) {
+fn optimize<M: Measure<Bounds = PaddedAabb>>(tree: &Tree, measure: &M, config: &Config) -> (Tree, Report) {
     let mut better = tree.clone();
     let report = run(&mut better, measure, config, &Progress::hidden()).expect("a valid configuration");
     let (before, after) = (cost(tree, measure), cost(&better, measure));

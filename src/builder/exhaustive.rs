@@ -5,7 +5,7 @@
 //! [`crate::optimize::treelets`] on parts of a tree.
 
 use crate::geometry::Aabb;
-use crate::geometry::padded::PaddedAabb;
+use crate::geometry::padded::{Extent, PaddedAabb};
 use crate::tree::{Node, Tree};
 use thiserror::Error;
 
@@ -75,9 +75,9 @@ impl Divisions {
 }
 
 /// Boxes around all sets of the leaves; that of the empty set is empty.
-pub fn unions(leaves: impl ExactSizeIterator<Item = PaddedAabb>, bounds: &mut Vec<PaddedAabb>) {
+pub fn unions<B: Extent>(leaves: impl ExactSizeIterator<Item = B>, bounds: &mut Vec<B>) {
     bounds.clear();
-    bounds.push(PaddedAabb::EMPTY);
+    bounds.push(B::EMPTY);
     for leaf in leaves {
         for set in 0..bounds.len() {
             bounds.push(bounds[set].union(&leaf));
@@ -102,7 +102,7 @@ pub fn optimum(
         return Ok(Optimum { tree, cost: 0.0 });
     }
     let mut bounds = Vec::new();
-    unions(leaves.iter().map(|&(bounds, _)| bounds.into()), &mut bounds);
+    unions(leaves.iter().map(|&(bounds, _)| PaddedAabb::from(bounds)), &mut bounds);
     let value = |(set, bounds): (usize, &PaddedAabb)| {
         if set.count_ones() < 2 { 0.0 } else { probability(bounds) }
     };

@@ -3,6 +3,47 @@
 use super::{Aabb, Vec3};
 use bytemuck::{Pod, Zeroable};
 use glam::Vec4;
+use std::fmt::Debug;
+
+/// What a node of a tree takes up: a box, or several where things move ([`crate::optimize::frames`]).
+pub trait Extent: Copy + PartialEq + Debug + Send + Sync {
+    /// The identity of [`Self::union`].
+    const EMPTY: Self;
+
+    /// The smallest extent around both.
+    fn union(&self, other: &Self) -> Self;
+
+    /// How far the centres of two extents are apart, in some unit: only for comparing.
+    fn apart(&self, other: &Self) -> f32;
+}
+
+impl Extent for PaddedAabb {
+    const EMPTY: PaddedAabb = PaddedAabb::EMPTY;
+
+    #[inline(always)]
+    fn union(&self, other: &PaddedAabb) -> PaddedAabb {
+        PaddedAabb::union(self, other)
+    }
+
+    #[inline(always)]
+    fn apart(&self, other: &PaddedAabb) -> f32 {
+        ((self.lower + self.upper) - (other.lower + other.upper)).abs().element_sum()
+    }
+}
+
+impl<const N: usize> Extent for [PaddedAabb; N] {
+    const EMPTY: [PaddedAabb; N] = [PaddedAabb::EMPTY; N];
+
+    #[inline(always)]
+    fn union(&self, other: &[PaddedAabb; N]) -> [PaddedAabb; N] {
+        std::array::from_fn(|frame| self[frame].union(&other[frame]))
+    }
+
+    #[inline(always)]
+    fn apart(&self, other: &[PaddedAabb; N]) -> f32 {
+        self.iter().zip(other).map(|(a, b)| a.apart(b)).sum()
+    }
+}
 
 /// An axis-aligned box whose corners are padded to four lanes. The fourth lane means nothing and is 0, so that no
 /// arithmetic on it is slow (subnormal numbers) or raises a NaN.

@@ -119,7 +119,7 @@ fn dissolve<M: Measure>(working: &mut Working<M>, node: u32, config: &Config, wo
     0
 }
 
-type Moved<M> = (f64, super::moves::Undo<<M as Measure>::List>);
+type Moved<M> = (f64, super::moves::Undo<M>);
 
 /// Moves a node to its best place; its gain, and the way back.
 fn best_move<M: Measure>(

@@ -6,12 +6,14 @@
 
 use super::segments::Segments;
 use crate::geometry::Ray;
-use crate::geometry::padded::PaddedAabb;
+use crate::geometry::padded::{Extent, PaddedAabb};
 use crate::probability::area::Area;
 use crate::random::Random;
 
 /// P of boxes. The root's is about 1, so that costs of different measures can be read side by side.
 pub trait Measure: Sync {
+    /// What a node takes up.
+    type Bounds: Extent;
     /// What is kept for an inner node.
     type List: Clone + Default + Send + Sync;
 
@@ -19,30 +21,41 @@ pub trait Measure: Sync {
     /// caches help, and keep more threads busy.
     const BATCH: usize;
 
+    /// What a leaf over `primitives` takes up, whose box is `bounds`.
+    fn leaf(&self, bounds: PaddedAabb, primitives: &[u32]) -> Self::Bounds;
+
+    /// The box of a node, as it is written.
+    fn one(bounds: &Self::Bounds) -> PaddedAabb;
+
     /// The list of a box that holds everything.
     fn whole(&self) -> Self::List;
 
     /// The list of `bounds`, which lies inside the box that `outer` belongs to.
-    fn within(&self, outer: &Self::List, bounds: &PaddedAabb) -> Self::List;
+    fn within(&self, outer: &Self::List, bounds: &Self::Bounds) -> Self::List;
 
     /// P of a box and its list.
-    fn value(&self, bounds: &PaddedAabb, list: &Self::List) -> f64;
+    fn value(&self, bounds: &Self::Bounds, list: &Self::List) -> f64;
 
     /// P of each of `boxes`, which lie inside the box that `outer` belongs to.
-    fn values<const N: usize>(&self, outer: &Self::List, boxes: &[PaddedAabb; N]) -> [f64; N];
+    fn values<const N: usize>(&self, outer: &Self::List, boxes: &[Self::Bounds; N]) -> [f64; N];
 
     /// P of `bounds`, which lies inside the box that `outer` belongs to, when it is below `limit`; `None` as soon as it is known not to be.
     /// Adds to `work`.
-    fn value_below(&self, outer: &Self::List, bounds: &PaddedAabb, limit: f64, work: &mut u64)
-    -> Option<f64>;
+    fn value_below(
+        &self,
+        outer: &Self::List,
+        bounds: &Self::Bounds,
+        limit: f64,
+        work: &mut u64,
+    ) -> Option<f64>;
 
     /// Whether P of `union`, the box around `node` and another box whose list is `moved`, can be below `limit`: cheaper to ask than
     /// [`Self::value_below`], because `moved` is short. `list` is that of `node`.
     fn can_be_below(
         &self,
-        node: (&PaddedAabb, &Self::List),
+        node: (&Self::Bounds, &Self::List),
         moved: &Self::List,
-        union: &PaddedAabb,
+        union: &Self::Bounds,
         limit: f64,
         work: &mut u64,
     ) -> bool;
@@ -73,10 +86,21 @@ impl AreaMeasure {
 }
 
 impl Measure for AreaMeasure {
+    type Bounds = PaddedAabb;
     type List = ();
 
     // A search waits for memory, and for little else.
     const BATCH: usize = 1 << 17;
+
+    #[inline(always)]
+    fn leaf(&self, bounds: PaddedAabb, _primitives: &[u32]) -> PaddedAabb {
+        bounds
+    }
+
+    #[inline(always)]
+    fn one(bounds: &PaddedAabb) -> PaddedAabb {
+        *bounds
+    }
 
     fn whole(&self) {}
 
@@ -203,10 +227,21 @@ impl RayMeasure {
 }
 
 impl Measure for RayMeasure {
+    type Bounds = PaddedAabb;
     type List = Vec<u32>;
 
     // A search counts rays.
     const BATCH: usize = 1 << 13;
+
+    #[inline(always)]
+    fn leaf(&self, bounds: PaddedAabb, _primitives: &[u32]) -> PaddedAabb {
+        bounds
+    }
+
+    #[inline(always)]
+    fn one(bounds: &PaddedAabb) -> PaddedAabb {
+        *bounds
+    }
 
     fn whole(&self) -> Vec<u32> {
         (0..self.segments.len() as u32).collect()

@@ -6,14 +6,14 @@
 
 use super::measure::Measure;
 use super::working::{Node, Working};
-use crate::geometry::padded::PaddedAabb;
+use crate::geometry::padded::Extent;
 
 /// A move with all that it changes, worked out but not done.
-pub struct Plan<L> {
+pub struct Plan<M: Measure> {
     node: u32,
     target: u32,
     /// Inner nodes whose boxes change, with their new boxes and lists.
-    changes: Vec<(u32, PaddedAabb, L)>,
+    changes: Vec<(u32, M::Bounds, M::List)>,
     /// By how much the cost falls.
     pub gain: f64,
     /// Boxes tested against rays.
@@ -26,7 +26,7 @@ pub fn can_move<M: Measure>(working: &Working<M>, node: u32) -> bool {
 }
 
 /// Works out the move of `node` beside `target`. None when there is no such move, or it would change nothing.
-pub fn plan<M: Measure>(working: &Working<M>, node: u32, target: u32) -> Option<Plan<M::List>> {
+pub fn plan<M: Measure>(working: &Working<M>, node: u32, target: u32) -> Option<Plan<M>> {
     if !can_move(working, node) || target == 0 {
         return None;
     }
@@ -86,14 +86,14 @@ pub fn plan<M: Measure>(working: &Working<M>, node: u32, target: u32) -> Option<
 }
 
 /// What a move replaced.
-pub struct Undo<L> {
+pub struct Undo<M: Measure> {
     /// Nodes as they were.
-    nodes: Vec<(u32, Node)>,
+    nodes: Vec<(u32, Node<M::Bounds>)>,
     /// Inner nodes with their old lists.
-    lists: Vec<(u32, L)>,
+    lists: Vec<(u32, M::List)>,
 }
 
-impl<L> Undo<L> {
+impl<M: Measure> Undo<M> {
     /// Nodes whose links or boxes the move changed.
     pub fn touched(&self) -> impl Iterator<Item = u32> {
         self.nodes.iter().map(|(index, _)| *index)
@@ -101,7 +101,7 @@ impl<L> Undo<L> {
 }
 
 /// Carries a plan out. The tree must be the one that it was made for.
-pub fn carry_out<M: Measure>(working: &mut Working<M>, plan: Plan<M::List>) -> Undo<M::List> {
+pub fn carry_out<M: Measure>(working: &mut Working<M>, plan: Plan<M>) -> Undo<M> {
     let Plan { node, target, changes, .. } = plan;
     let parent = working.node(node).parent;
     let sibling = working.sibling(node);
@@ -120,7 +120,7 @@ pub fn carry_out<M: Measure>(working: &mut Working<M>, plan: Plan<M::List>) -> U
 }
 
 /// Takes the latest move back.
-pub fn take_back<M: Measure>(working: &mut Working<M>, undo: Undo<M::List>) {
+pub fn take_back<M: Measure>(working: &mut Working<M>, undo: Undo<M>) {
     for (index, node) in undo.nodes {
         working.nodes[index as usize] = node;
     }

@@ -10,7 +10,7 @@
 use super::Step;
 use super::measure::Measure;
 use super::working::Working;
-use crate::geometry::padded::PaddedAabb;
+use crate::geometry::padded::Extent;
 
 /// How to climb.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -112,7 +112,7 @@ pub(super) fn gain<M: Measure>(working: &Working<M>, index: u32, kind: usize) ->
     let grown = |moved: u32, remaining: u32| working.bounds(moved).union(working.bounds(remaining));
     let old_right = working.value(working.node(second).parent);
     if kind < 4 {
-        let boxes: [PaddedAabb; 1] = [grown(first, working.sibling(second))];
+        let boxes = [grown(first, working.sibling(second))];
         let [new] = working.measure.values(list, &boxes);
         return Some((old_right - new, work));
     }

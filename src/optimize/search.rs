@@ -12,7 +12,7 @@
 
 use super::measure::Measure;
 use super::working::Working;
-use crate::geometry::padded::PaddedAabb;
+use crate::geometry::padded::Extent;
 use std::borrow::Cow;
 
 /// A place: beside which node, and by how much the cost falls.
@@ -97,7 +97,7 @@ struct Open<'a, L: Clone> {
 
 struct Search<'a, 'm, M: Measure> {
     working: &'a Working<'m, M>,
-    moved: PaddedAabb,
+    moved: M::Bounds,
     /// List of the moved box.
     rays: &'a M::List,
     /// P of the moved box: what a new parent costs at least.
@@ -161,11 +161,7 @@ impl<'a, M: Measure> Search<'a, '_, M> {
     /// The children, the one first that lies nearer to the moved box, so that it bounds the other.
     fn nearer_first(&self, index: u32) -> [u32; 2] {
         let [left, right] = self.working.node(index).children();
-        let distance = |child: u32| {
-            let bounds = self.working.bounds(child);
-            let apart = (bounds.lower + bounds.upper) - (self.moved.lower + self.moved.upper);
-            apart.abs().element_sum()
-        };
+        let distance = |child: u32| self.working.bounds(child).apart(&self.moved);
         if distance(right) < distance(left) { [right, left] } else { [left, right] }
     }
 }

@@ -10,7 +10,7 @@ use super::Step;
 use super::measure::Measure;
 use super::working::Working;
 use crate::builder::exhaustive::{Divisions, MAX_PRIMITIVES, unions};
-use crate::geometry::padded::PaddedAabb;
+use crate::geometry::padded::Extent;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
@@ -76,7 +76,7 @@ impl Count {
 
 /// The treelets of `nodes`, which lists parents before children, from the last to the first.
 fn round<M: Measure>(working: &mut Working<M>, nodes: &[u32], leaves: usize) -> Count {
-    let mut treelet = Treelet::default();
+    let mut treelet = Treelet::new();
     let mut count = Count::default();
     for (number, &root) in nodes.iter().rev().enumerate() {
         if number % 256 == 255 && working.out_of_time() {
@@ -91,19 +91,23 @@ fn round<M: Measure>(working: &mut Working<M>, nodes: &[u32], leaves: usize) -> 
 }
 
 /// The top of a subtree, and what is worked out for it; made once and used for many.
-#[derive(Default)]
-struct Treelet {
+struct Treelet<B> {
     /// Its inner nodes, the root first.
     inner: Vec<u32>,
     leaves: Vec<u32>,
     /// The box around every set of leaves, and P of it.
-    bounds: Vec<PaddedAabb>,
+    bounds: Vec<B>,
     values: Vec<f64>,
     divisions: Divisions,
 }
 
-impl Treelet {
-    fn form<M: Measure>(&mut self, working: &Working<M>, root: u32, most: usize) {
+impl<B: Extent> Treelet<B> {
+    fn new() -> Treelet<B> {
+        let (inner, leaves, divisions) = Default::default();
+        Treelet { inner, leaves, bounds: Vec::new(), values: Vec::new(), divisions }
+    }
+
+    fn form<M: Measure<Bounds = B>>(&mut self, working: &Working<M>, root: u32, most: usize) {
         self.inner.clear();
         self.leaves.clear();
         self.inner.push(root);
@@ -119,7 +123,7 @@ impl Treelet {
     }
 
     /// Puts the leaves together in the best way, when that is better than how they are. Adds to `work`.
-    fn improve<M: Measure>(&mut self, working: &mut Working<M>, work: &mut u64) -> bool {
+    fn improve<M: Measure<Bounds = B>>(&mut self, working: &mut Working<M>, work: &mut u64) -> bool {
         // Two leaves can be put together in one way only.
         if self.leaves.len() < 3 {
             return false;
@@ -130,7 +134,7 @@ impl Treelet {
         self.values.clear();
         self.values.resize(sets, 0.0);
         let list = working.list(root);
-        let (mut asked, mut places) = ([PaddedAabb::EMPTY; LANES], [0; LANES]);
+        let (mut asked, mut places) = ([B::EMPTY; LANES], [0; LANES]);
         let mut full = 0;
         for set in (1..sets - 1).filter(|set| !set.is_power_of_two()) {
             (asked[full], places[full]) = (self.bounds[set], set);
@@ -171,11 +175,11 @@ impl Treelet {
     }
 
     /// P of some sets' boxes.
-    fn ask<M: Measure>(
+    fn ask<M: Measure<Bounds = B>>(
         &mut self,
         working: &Working<M>,
         list: &M::List,
-        boxes: &[PaddedAabb; LANES],
+        boxes: &[B; LANES],
         sets: &[usize],
     ) {
         for (&set, value) in sets.iter().zip(working.measure.values(list, boxes)) {
@@ -190,9 +194,13 @@ mod tests {
     use super::super::measure::AreaMeasure;
     use super::*;
     use crate::builder::exhaustive::optimum;
+    use crate::geometry::padded::PaddedAabb;
 
-    fn check<M: Measure>(count: usize, leaves: usize, make: impl Fn(&crate::tree::Tree) -> M)
-    where
+    fn check<M: Measure<Bounds = PaddedAabb>>(
+        count: usize,
+        leaves: usize,
+        make: impl Fn(&crate::tree::Tree) -> M,
+    ) where
         M::List: PartialEq + std::fmt::Debug,
     {
         let triangles = triangles(count, 6);

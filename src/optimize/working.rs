@@ -5,7 +5,7 @@
 //! their children's. The root keeps number 0.
 
 use super::measure::Measure;
-use crate::geometry::padded::PaddedAabb;
+use crate::geometry::padded::{Extent, PaddedAabb};
 use crate::tree::{LEAF_BIT, Node as FileNode, Tree};
 use rayon::prelude::*;
 use std::time::Instant;
@@ -16,8 +16,8 @@ pub const NONE: u32 = u32::MAX;
 /// One cache line: a search sees a few dozen nodes all over the tree, and reads everything about each.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
-pub struct Node {
-    pub bounds: PaddedAabb,
+pub struct Node<B> {
+    pub bounds: B,
     /// P.
     value: f64,
     pub parent: u32,
@@ -25,7 +25,7 @@ pub struct Node {
     below: [u32; 2],
 }
 
-impl Node {
+impl<B> Node<B> {
     #[inline(always)]
     pub fn is_leaf(&self) -> bool {
         self.below[1] & LEAF_BIT != 0
@@ -66,7 +66,7 @@ impl Written {
 /// The tree with its measure.
 pub struct Working<'m, M: Measure> {
     pub measure: &'m M,
-    pub nodes: Vec<Node>,
+    pub nodes: Vec<Node<M::Bounds>>,
     /// Of every inner node; a leaf's is empty.
     pub lists: Vec<M::List>,
     /// When to stop, for those who want a tree after so many seconds and not always the same one.
@@ -77,10 +77,15 @@ impl<'m, M: Measure> Working<'m, M> {
     /// Reads a tree whose inner nodes all have two children.
     pub fn new(tree: &Tree, measure: &'m M) -> Working<'m, M> {
         let node = |node: &FileNode| {
-            let below = if node.is_leaf() { [node.first, node.count] } else { [node.first, node.first + 1] };
-            Node { bounds: node.bounds().into(), value: 0.0, parent: NONE, below }
+            let (bounds, below) = if node.is_leaf() {
+                let primitives = &tree.primitives[node.range()];
+                (measure.leaf(node.bounds().into(), primitives), [node.first, node.count])
+            } else {
+                (M::Bounds::EMPTY, [node.first, node.first + 1])
+            };
+            Node { bounds, value: 0.0, parent: NONE, below }
         };
-        let mut nodes: Vec<Node> = tree.nodes.par_iter().map(node).collect();
+        let mut nodes: Vec<Node<M::Bounds>> = tree.nodes.par_iter().map(node).collect();
         for index in (0..nodes.len()).rev() {
             if !nodes[index].is_leaf() {
                 let [left, right] = nodes[index].children().map(|child| child as usize);
@@ -121,18 +126,18 @@ impl<'m, M: Measure> Working<'m, M> {
     }
 
     /// Goes back to an earlier state: `nodes` is a copy of this tree's nodes from then.
-    pub fn restore(&mut self, nodes: Vec<Node>) {
+    pub fn restore(&mut self, nodes: Vec<Node<M::Bounds>>) {
         self.nodes = nodes;
         self.recount(self.order());
     }
 
     #[inline(always)]
-    pub fn node(&self, index: u32) -> &Node {
+    pub fn node(&self, index: u32) -> &Node<M::Bounds> {
         &self.nodes[index as usize]
     }
 
     #[inline(always)]
-    pub fn bounds(&self, index: u32) -> &PaddedAabb {
+    pub fn bounds(&self, index: u32) -> &M::Bounds {
         &self.nodes[index as usize].bounds
     }
 
@@ -180,14 +185,14 @@ impl<'m, M: Measure> Working<'m, M> {
     }
 
     /// Gives an inner node a new box; `list` is its list. Returns the old list.
-    pub fn set(&mut self, index: u32, bounds: PaddedAabb, list: M::List) -> M::List {
+    pub fn set(&mut self, index: u32, bounds: M::Bounds, list: M::List) -> M::List {
         let node = &mut self.nodes[index as usize];
         (node.bounds, node.value) = (bounds, self.measure.value(&bounds, &list));
         std::mem::replace(&mut self.lists[index as usize], list)
     }
 
     /// Union of the children's boxes.
-    pub fn union(&self, [left, right]: [u32; 2]) -> PaddedAabb {
+    pub fn union(&self, [left, right]: [u32; 2]) -> M::Bounds {
         self.bounds(left).union(self.bounds(right))
     }
 
@@ -210,14 +215,14 @@ impl<'m, M: Measure> Working<'m, M> {
             tree.nodes[place] = if node.is_leaf() {
                 let first = tree.primitives.len();
                 tree.primitives.extend_from_slice(&primitives[node.primitives()]);
-                FileNode::leaf(node.bounds.into(), first as u32, node.primitives().len() as u32)
+                FileNode::leaf(M::one(&node.bounds).into(), first as u32, node.primitives().len() as u32)
             } else {
                 let first = tree.nodes.len();
                 let [left, right] = node.children();
                 tree.nodes.extend([FileNode::inner(PaddedAabb::EMPTY.into(), 0, 0); 2]);
                 values.extend([self.value(left), self.value(right)]);
                 places.extend([(right, first + 1, level + 1), (left, first, level + 1)]);
-                FileNode::inner(node.bounds.into(), first as u32, 2)
+                FileNode::inner(M::one(&node.bounds).into(), first as u32, 2)
             };
         }
         Written { tree, values, depth }
