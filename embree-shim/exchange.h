@@ -12,7 +12,7 @@
 #include "shim.h"
 
 /* Changes with every change of this file. */
-#define EXCHANGE_MAGIC 0x3230684378457445ull
+#define EXCHANGE_MAGIC 0x3330684378457445ull
 
 enum {
   EXCHANGE_SLOTS = 256,          /* threads that can record at a time */
@@ -23,6 +23,8 @@ enum {
   EXCHANGE_PATH = 1024
 };
 
+/* The depth of a record that a callback of the program asked, while another query was under way; others have none. */
+enum { EXCHANGE_NESTED = 0xFE };
 /* States of a slot. */
 enum { EXCHANGE_FREE = 0, EXCHANGE_OWNED = 1, EXCHANGE_FULL = 2 };
 /* States of a capture. */

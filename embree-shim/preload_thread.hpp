@@ -81,7 +81,7 @@ T value(At at, unsigned field) noexcept {
   return value;
 }
 
-// Adds a record of a ray that was answered. `rejects` are those of this ray.
+// Adds a record of a ray that was answered, while its call is the thread's frame. `rejects` are those of this ray.
 template <typename At>
 void record(Thread& thread, const Thread::Known& scene, bool closest, bool coherent, At at, float asked_tfar,
             std::uint32_t geometry_before, const Rejected* rejects, std::uint32_t reject_count) noexcept {
@@ -102,7 +102,7 @@ void record(Thread& thread, const Thread::Known& scene, bool closest, bool coher
   record.u = 0.0f;
   record.v = 0.0f;
   record.path = shim::no_path;
-  record.depth = shim::no_depth;
+  record.depth = thread.frame->outer == nullptr ? shim::no_depth : static_cast<std::uint8_t>(EXCHANGE_NESTED);
   record.purpose = shim::purpose_unknown;
   std::uint8_t flags = coherent ? shim::flag_coherent : 0;
   const float end = value<float>(at, tfar);

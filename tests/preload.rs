@@ -311,8 +311,8 @@ fn tutorials_of_embree() {
             cameras += chunk.records.iter().filter(|r| r.purpose == Purpose::Camera as u8).count();
             rejected += chunk.records.iter().filter(|r| r.flags & flag::HAS_REJECTS != 0).count();
         }
-        // Callbacks of user geometries ask again, from other origins, and where such a query is a thread's first, the eye is missed.
-        assert!(cameras >= 64 * 64 || program == "user_geometry", "{program}: {cameras}");
+        // Callbacks of user geometries ask, too, from other origins.
+        assert!(cameras >= 64 * 64, "{program}: {cameras}");
         assert_eq!(rejected > 0, rejects, "{program}");
     }
 }

@@ -2,7 +2,8 @@
 //!
 //! Embree is told nothing of it. What is not recognised stays unknown. docs/recording.md has the rules for users.
 
-use crate::format::rays::{Purpose, Record};
+use crate::embree::ffi::EXCHANGE_NESTED;
+use crate::format::rays::{NO_DEPTH, Purpose, Record};
 use crate::geometry::Vec3;
 use std::path::Path;
 
@@ -10,7 +11,7 @@ use std::path::Path;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rules {
     /// Masks have no meaning: occlusion queries are for shadow; closest-hit queries from the point from which
-    /// the thread first asked are the camera's (of a pinhole camera).
+    /// the thread first asked are the camera's (of a pinhole camera). What callbacks ask is not: its answer comes first.
     General,
     /// Cycles puts the visibility of its rays into the mask (`PathRayFlag` in its kernel/types.h).
     Cycles,
@@ -62,9 +63,11 @@ impl Guess {
 
     /// Fills purpose and depth of the thread's next record. Returns whether a new path starts here.
     pub fn fill(&mut self, record: &mut Record) -> bool {
+        let nested = u32::from(record.depth) == EXCHANGE_NESTED;
+        record.depth = NO_DEPTH;
         let purpose = match self.rules {
             Rules::None => return false,
-            Rules::General => self.general(record),
+            Rules::General => self.general(record, nested),
             Rules::Cycles => by_visibility(record),
         };
         record.purpose = purpose as u8;
@@ -87,9 +90,11 @@ impl Guess {
         purpose == Purpose::Camera && !goes_on
     }
 
-    fn general(&mut self, record: &Record) -> Purpose {
+    fn general(&mut self, record: &Record, nested: bool) -> Purpose {
         if record.is_occlusion() {
             return Purpose::Shadow;
+        } else if nested {
+            return Purpose::Unknown;
         }
         let eye = *self.eye.get_or_insert(record.origin);
         if eye == record.origin { Purpose::Camera } else { Purpose::Unknown }
@@ -117,7 +122,7 @@ fn by_visibility(record: &Record) -> Purpose {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::format::rays::{NO_DEPTH, kind};
+    use crate::format::rays::kind;
     use bytemuck::Zeroable;
 
     fn record(kind: u8, mask: u32, x: f32) -> Record {
@@ -152,6 +157,17 @@ mod tests {
                 (Purpose::Camera, 0, true)
             ]
         );
+    }
+
+    /// A user geometry asks before its thread's first answer.
+    #[test]
+    fn what_a_callback_asks_is_not_from_the_eye() {
+        let closest = |x| record(kind::CLOSEST_HIT, u32::MAX, x);
+        let nested = |x| Record { depth: EXCHANGE_NESTED as u8, ..closest(x) };
+        let found = filled(Rules::General, &[nested(3.0), closest(1.0), nested(1.0), closest(1.0)]);
+        let (camera, unknown) = ((Purpose::Camera, 0, true), (Purpose::Unknown, NO_DEPTH, false));
+        assert_eq!(found, [unknown, camera, unknown, camera]);
+        assert_eq!(filled(Rules::None, &[nested(1.0)]), [unknown]);
     }
 
     #[test]
