@@ -20,15 +20,19 @@ namespace {
 constexpr const char* three = "libembree3";
 constexpr const char* four = "libembree4";
 
+// Whether a path's last part starts with `start`.
+bool is_named(const char* path, const char* start) noexcept {
+  const char* slash = std::strrchr(path, '/');
+  return std::strncmp(slash == nullptr ? path : slash + 1, start, std::strlen(start)) == 0;
+}
+
 // The path of a loaded library whose file's name starts with `start`; empty when there is none.
 std::string loaded_path(const char* start) {
   std::pair<const char*, std::string> search{start, {}};
   dl_iterate_phdr(
       [](dl_phdr_info* info, std::size_t, void* into) {
         auto& [start, path] = *static_cast<decltype(search)*>(into);
-        const char* slash = std::strrchr(info->dlpi_name, '/');
-        const char* file = slash == nullptr ? info->dlpi_name : slash + 1;
-        if (std::strncmp(file, start, std::strlen(start)) != 0) return 0;
+        if (!is_named(info->dlpi_name, start)) return 0;
         path = info->dlpi_name;
         return 1;
       },
@@ -62,8 +66,17 @@ void* find(const char* name, bool needed) {
 Version version_of(const void* function) noexcept {
   Dl_info info;
   if (dladdr(function, &info) == 0 || info.dli_fname == nullptr) return Version::other;
-  const auto is = [&](const char* start) { return std::strstr(info.dli_fname, start) != nullptr; };
+  const auto is = [&](const char* start) { return is_named(info.dli_fname, start); };
   return is(three) ? Version::three : is(four) ? Version::four : Version::other;
+}
+
+// Calls do not say which library they are meant for.
+void warn_of_two(Version chosen) {
+  if (loaded_path(three).empty() || loaded_path(four).empty()) return;
+  std::fprintf(stderr,
+               "embree-trace: warning: this program has loaded Embree 3 and Embree 4; all its calls go to Embree %d, and it may "
+               "crash if it uses both\n",
+               chosen == Version::four ? 4 : 3);
 }
 
 Library load() noexcept {
@@ -81,6 +94,7 @@ Library load() noexcept {
 #undef PRELOAD_FIND
   get(library.rtcSetSharedGeometryBufferHostDevice, "rtcSetSharedGeometryBufferHostDevice", false);
   get(library.rtcSetNewGeometryBufferHostDevice, "rtcSetNewGeometryBufferHostDevice", false);
+  warn_of_two(library.version);
   ExchangeHeader* header = exchange();
   if (header != nullptr && !library.is_known()) store(header->foreign, 1u);
   return library;
