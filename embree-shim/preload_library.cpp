@@ -1,10 +1,12 @@
 // Finds the real Embree: the next library in the search order, or, where the program loaded it privately (RTLD_LOCAL, as
-// Python does with its modules), the one that is loaded, by its name. Wheels rename theirs: libembree4-4aef3270.so.4.
+// Python does with its modules), the one that the first caller was linked with, or else the one that is loaded, by its name. Wheels
+// rename theirs: libembree4-4aef3270.so.4.
 #include "preload_library.hpp"
 
 #include <dlfcn.h>
 #include <link.h>
 
+#include <atomic>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -40,8 +42,30 @@ std::string loaded_path(const char* start) {
   return search.second;
 }
 
+Version version_of(const void* function) noexcept {
+  Dl_info info;
+  if (dladdr(function, &info) == 0 || info.dli_fname == nullptr) return Version::other;
+  const auto is = [&](const char* start) { return is_named(info.dli_fname, start); };
+  return is(three) ? Version::three : is(four) ? Version::four : Version::other;
+}
+
+std::atomic<const void*> first_caller{nullptr};
+
+// What the first caller was linked with, itself and below; null when that has no Embree.
+void* linked_library() {
+  Dl_info info;
+  const void* caller = first_caller.load(std::memory_order_relaxed);
+  if (caller == nullptr || dladdr(caller, &info) == 0 || info.dli_fname == nullptr) return nullptr;
+  void* handle = dlopen(info.dli_fname, RTLD_NOLOAD | RTLD_NOW);
+  if (handle == nullptr) return nullptr;
+  const void* function = dlsym(handle, "rtcNewScene");
+  // The program itself would lead back to this library.
+  return function != nullptr && version_of(function) != Version::other ? handle : nullptr;
+}
+
 // A privately loaded Embree; null when there is none. Not closed again: what it holds is in use.
 void* private_library() {
+  if (void* linked = linked_library()) return linked;
   for (const char* start : {three, four}) {
     const std::string path = loaded_path(start);
     if (path.empty()) continue;
@@ -61,13 +85,6 @@ void* find(const char* name, bool needed) {
     std::abort();
   }
   return nullptr;
-}
-
-Version version_of(const void* function) noexcept {
-  Dl_info info;
-  if (dladdr(function, &info) == 0 || info.dli_fname == nullptr) return Version::other;
-  const auto is = [&](const char* start) { return is_named(info.dli_fname, start); };
-  return is(three) ? Version::three : is(four) ? Version::four : Version::other;
 }
 
 // Calls do not say which library they are meant for.
@@ -101,6 +118,11 @@ Library load() noexcept {
 }
 
 }  // namespace
+
+void called_from(const void* address) noexcept {
+  const void* none = nullptr;
+  first_caller.compare_exchange_strong(none, address, std::memory_order_relaxed);
+}
 
 const Library& real() noexcept {
   static const Library library = load();

@@ -41,6 +41,9 @@ struct Library {
   bool is_known() const noexcept { return version != Version::other; }
 };
 
+// Before the first call of `real`, from a function that makes what others need: where the program called it.
+void called_from(const void* address) noexcept;
+
 // Found at the first call; ends the process when a function is nowhere, as the dynamic linker would.
 const Library& real() noexcept;
 

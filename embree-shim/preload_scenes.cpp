@@ -174,6 +174,7 @@ using namespace preload;
 // The decorated calls, under Embree's names and with its prototypes.
 
 RTCScene rtcNewScene(RTCDevice device) {
+  called_from(__builtin_return_address(0));
   RTCScene handle = real().rtcNewScene(device);
   if (handle == nullptr) return handle;
   follow([&](Registry& registry) {
@@ -252,6 +253,7 @@ void rtcSetSceneFlags(RTCScene scene, RTCSceneFlags flags) {
 }
 
 RTCGeometry rtcNewGeometry(RTCDevice device, RTCGeometryType type) {
+  called_from(__builtin_return_address(0));
   RTCGeometry handle = real().rtcNewGeometry(device, type);
   if (handle == nullptr) return handle;
   follow([&](Registry& registry) {

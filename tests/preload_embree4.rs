@@ -153,3 +153,20 @@ fn embreex_is_recorded() {
     }
     assert!((3000..4000).contains(&hits), "{hits}");
 }
+
+/// Where Debian's Open3D has loaded Embree 3 beside it, what embreex asks still goes to Embree 4.
+#[test]
+fn a_program_that_has_loaded_both_versions() {
+    let Some(package) = package() else { return };
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/preload_support/embreex_sphere.py");
+    let path = format!("PYTHONPATH={}", package.display());
+    let both = "import open3d, runpy, sys; runpy.run_path(sys.argv[1])";
+    let arguments = [&path, "/usr/bin/python3", "-c", both, script.to_str().unwrap()];
+    let env = Path::new("/usr/bin/env");
+    let run = Run::new(&[], env, &arguments);
+    assert!(run.output.status.success(), "python3-open3d, see tools/setup: {}", run.said());
+    let plain = Command::new(env).args(arguments).output().unwrap();
+    assert!(plain.status.success() && plain.stdout == run.output.stdout);
+    assert_eq!(run.replayed().queries, 8000);
+    assert!(run.said().contains("has loaded Embree 3 and Embree 4"), "{}", run.said());
+}
