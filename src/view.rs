@@ -10,7 +10,9 @@
 
 pub mod app;
 pub mod cast;
+pub mod diagram;
 pub mod gpu;
+pub mod heat;
 pub mod layers;
 pub mod load;
 pub mod modes;
@@ -20,10 +22,12 @@ pub mod overlay;
 pub mod paint;
 pub mod pane;
 pub mod panels;
+pub mod rays;
 pub mod results;
 pub mod session;
 pub mod shared;
 pub mod summary;
+pub mod versus;
 pub mod window;
 pub mod wishes;
 pub mod work;

@@ -6,10 +6,13 @@ use embree_trace::files::OutputFile;
 use embree_trace::traverse::Traversal;
 use embree_trace::view::layers::{RayColor, SurfaceColor};
 use embree_trace::view::modes::ModeName;
+use embree_trace::view::modes::crossplane::{Facing, Shown};
+use embree_trace::view::modes::query::Wanted;
 use embree_trace::view::offscreen::{LONGEST_SIDE, Offscreen};
 use embree_trace::view::summary::Summary;
 use embree_trace::view::window;
-use embree_trace::view::wishes::{BoxWish, Wishes};
+use embree_trace::view::wishes::{BoxWish, Wishes, parse_plane};
+use serde::Serialize;
 use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -26,6 +29,8 @@ Examples:
   bvh-view built.bvh ours.bvh casts.rays
   bvh-view built.bvh casts.rays --mode explore --node 17 --boxes level:3
   bvh-view built.bvh casts.rays --screenshot view.png --size 1280x800 --mode explore --color cost
+  bvh-view built.bvh casts.rays --mode crossplane --plane y:0.3 --plane-shows traffic
+  bvh-view built.bvh casts.rays --mode query --pixel 320,240
   bvh-view built.bvh --screenshot view.png --view 4,2,9/0,1,0 --no-panels
 
 Keys are listed in the window: press ?
@@ -43,6 +48,10 @@ struct Arguments {
     /// Write a picture of the window to FILE (PNG) instead of opening it; needs no display
     #[arg(long, value_name = "FILE")]
     screenshot: Option<PathBuf>,
+
+    /// Measure N frames in which the camera moves, drawn without a display, and print how long they took
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000), conflicts_with = "screenshot")]
+    frames: Option<u32>,
 
     /// Size of the window
     #[arg(long, value_name = "WxH", default_value = "1280x800", value_parser = size)]
@@ -88,11 +97,31 @@ struct Arguments {
     #[arg(long, value_enum, value_name = "WHAT")]
     ray_color: Option<RayColor>,
 
+    /// Where the plane of mode crossplane stands: x, y, z or camera, and a place from 0 to 1, such as y:0.3
+    #[arg(long, value_name = "PLANE", value_parser = parse_plane)]
+    plane: Option<(Facing, f32)>,
+
+    /// What the plane shows
+    #[arg(long, value_enum, value_name = "WHAT")]
+    plane_shows: Option<Shown>,
+
+    /// Query of the recording to follow in mode query, by its number
+    #[arg(long, value_name = "N")]
+    query: Option<u64>,
+
+    /// Pixel of the recorded image whose queries to follow
+    #[arg(long, value_name = "X,Y", value_parser = pixel, conflicts_with = "query")]
+    pixel: Option<[u32; 2]>,
+
+    /// Step of the query's traversal to go to
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    step: usize,
+
     /// Leave out the panels
     #[arg(long)]
     no_panels: bool,
 
-    /// What to print about a screenshot
+    /// How to print what was measured; json also says what a screenshot shows
     #[arg(long, value_enum, default_value_t = TextOrJson::Text)]
     format: TextOrJson,
 }
@@ -102,6 +131,13 @@ fn size(text: &str) -> Result<[u32; 2], String> {
     let (width, height) = text.split_once(['x', 'X']).ok_or_else(expected)?;
     let side = |text: &str| text.parse().ok().filter(|side| (16..=LONGEST_SIDE).contains(side));
     Ok([side(width).ok_or_else(expected)?, side(height).ok_or_else(expected)?])
+}
+
+fn pixel(text: &str) -> Result<[u32; 2], String> {
+    let (x, y) = text.split_once(',').ok_or("expected X,Y, such as 320,240")?;
+    let number =
+        |text: &str| text.trim().parse().map_err(|_| format!("\"{text}\" is not a number of pixels"));
+    Ok([number(x)?, number(y)?])
 }
 
 fn main() -> ExitCode {
@@ -121,14 +157,57 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         ray_color: arguments.ray_color,
         rays: arguments.rays,
         points: arguments.points,
+        plane: arguments.plane,
+        shows: arguments.plane_shows,
+        query: arguments.query.map(Wanted::Number),
+        pixel: arguments.pixel,
+        step: arguments.step,
         no_panels: arguments.no_panels,
     };
     let files = arguments.files.clone();
-    match &arguments.screenshot {
-        None => window::show(files, wishes, arguments.size)?,
-        Some(path) => screenshot(arguments, path, Offscreen::new(files, wishes, arguments.size)?)?,
+    match (&arguments.screenshot, arguments.frames) {
+        (None, None) => window::show(files, wishes, arguments.size)?,
+        (Some(path), _) => screenshot(arguments, path, Offscreen::new(files, wishes, arguments.size)?)?,
+        (None, Some(frames)) => {
+            measure(arguments, frames, Offscreen::new(files, wishes, arguments.size)?)?;
+        }
     }
     Ok(Outcome::Good)
+}
+
+/// What moving costs.
+#[derive(Serialize)]
+struct Frames {
+    frames: u32,
+    median_ms: f64,
+    slowest_ms: f64,
+    frames_per_second: f64,
+    /// Pixels of the window per pixel that is cast, in each direction.
+    coarseness: u32,
+}
+
+fn measure(arguments: &Arguments, frames: u32, mut offscreen: Offscreen) -> Result<(), Failure> {
+    offscreen.settle(PATIENCE)?;
+    let mut times = offscreen.measure(frames)?;
+    times.sort();
+    let milliseconds = |index: usize| times[index].as_secs_f64() * 1e3;
+    let median_ms = milliseconds(times.len() / 2);
+    let measured = Frames {
+        frames,
+        median_ms,
+        slowest_ms: milliseconds(times.len() - 1),
+        frames_per_second: 1e3 / median_ms,
+        coarseness: offscreen.viewer.session().map_or(0, |session| session.coarseness()),
+    };
+    let text = match arguments.format {
+        TextOrJson::Json => serde_json::to_string_pretty(&measured)?,
+        TextOrJson::Text => format!(
+            "{frames} frames while the camera moves: {median_ms:.1} ms each, {:.1} frames a second, at 1/{} resolution",
+            measured.frames_per_second, measured.coarseness
+        ),
+    };
+    writeln!(std::io::stdout().lock(), "{text}")?;
+    Ok(())
 }
 
 fn screenshot(arguments: &Arguments, path: &Path, mut offscreen: Offscreen) -> Result<(), Failure> {

@@ -149,6 +149,6 @@ fn style(context: &egui::Context) {
             }
         }
         style.visuals.override_text_color = Some(egui::Color32::from_gray(222));
-        style.spacing.slider_width = 110.0;
+        style.spacing.slider_width = 92.0;
     });
 }

@@ -358,7 +358,7 @@ impl Painter {
         }
         let kept = self.kept.get_mut(&key)?;
         kept.used = true;
-        let settings = [batch.opacity, batch.behind, 0.0, 0.0];
+        let settings = [batch.opacity, batch.behind, batch.scale, 0.0];
         self.queue.write_buffer(&kept.settings, 0, bytemuck::cast_slice(&settings));
         let shape = match &batch.shapes {
             Shapes::Lines(_) => size_of::<Line>(),

@@ -2,11 +2,13 @@
 //!
 //! The camera is the same in all of them; a mode sees keys and clicks that did not move it.
 
+pub mod crossplane;
 pub mod explore;
 pub mod navigate;
+pub mod query;
 
 use super::overlay::Overlay;
-use super::shared::{Shared, Spot};
+use super::shared::{Legend, Shared, Spot};
 use eframe::egui::{Key, Modifiers, Ui};
 
 /// What happened since the last frame, apart from the camera.
@@ -48,6 +50,11 @@ pub trait Mode {
     /// Draws into the picture of a pane.
     fn overlay(&self, _shared: &Shared, _pane: usize, _overlay: &mut Overlay) {}
 
+    /// What the colours of what it draws mean.
+    fn legend(&self, _pane: usize) -> Option<Legend> {
+        None
+    }
+
     /// The panel beside the pictures.
     fn panel(&mut self, ui: &mut Ui, shared: &mut Shared);
 
@@ -63,42 +70,45 @@ pub enum ModeName {
     #[default]
     Move,
     Explore,
+    Crossplane,
+    Query,
 }
 
 impl ModeName {
-    pub const ALL: [ModeName; 2] = [ModeName::Move, ModeName::Explore];
+    pub const ALL: [ModeName; 4] = [ModeName::Move, ModeName::Explore, ModeName::Crossplane, ModeName::Query];
 }
 
 /// All modes, of which one is current. Each keeps its state while another is.
+#[derive(Default)]
 pub struct Modes {
-    modes: Vec<Box<dyn Mode>>,
-    current: usize,
-}
-
-impl Default for Modes {
-    fn default() -> Modes {
-        Modes { modes: vec![Box::new(navigate::Navigate), Box::new(explore::Explore::default())], current: 0 }
-    }
+    navigate: navigate::Navigate,
+    explore: explore::Explore,
+    pub crossplane: crossplane::Crossplane,
+    pub query: query::QueryMode,
+    current: ModeName,
 }
 
 impl Modes {
     pub fn current(&mut self) -> &mut dyn Mode {
-        self.modes[self.current].as_mut()
+        self.mode(self.current)
+    }
+
+    pub fn mode(&mut self, name: ModeName) -> &mut dyn Mode {
+        match name {
+            ModeName::Move => &mut self.navigate,
+            ModeName::Explore => &mut self.explore,
+            ModeName::Crossplane => &mut self.crossplane,
+            ModeName::Query => &mut self.query,
+        }
     }
 
     pub fn name(&self) -> ModeName {
-        ModeName::ALL[self.current]
-    }
-
-    /// Name and key of each.
-    pub fn names(&self) -> impl Iterator<Item = (ModeName, &'static str, &'static str)> {
-        ModeName::ALL.into_iter().zip(&self.modes).map(|(key, mode)| (key, mode.name(), mode.purpose()))
+        self.current
     }
 
     pub fn switch(&mut self, to: ModeName, shared: &mut Shared) {
-        let index = ModeName::ALL.iter().position(|&name| name == to).unwrap_or(0);
-        if index != self.current {
-            self.current = index;
+        if to != self.current {
+            self.current = to;
             self.current().enter(shared);
         }
     }

@@ -109,6 +109,24 @@ impl Offscreen {
         }
     }
 
+    /// Times of `frames` frames in which the camera goes round its target, a degree a frame: each from its start until the device has drawn it.
+    ///
+    /// # Errors
+    /// When the files are not open, or the device fails.
+    pub fn measure(&mut self, frames: u32) -> Result<Vec<Duration>, OffscreenError> {
+        let mut times = Vec::with_capacity(frames as usize);
+        for _ in 0..frames {
+            let started = Instant::now();
+            let session =
+                self.viewer.session().ok_or_else(|| OffscreenError::Files("not open".to_owned()))?;
+            session.shared.camera.orbit(1f32.to_radians(), 0.0);
+            self.frame(Vec::new());
+            self.finish()?;
+            times.push(started.elapsed());
+        }
+        Ok(times)
+    }
+
     /// The window as the last frame left it.
     ///
     /// # Errors

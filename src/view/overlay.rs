@@ -50,6 +50,8 @@ pub struct Batch {
     pub opacity: f32,
     /// How much of it is left behind surfaces, 0 to 1.
     pub behind: f32,
+    /// Times the widths of lines and the sizes of points.
+    pub scale: f32,
     /// Only so many of the shapes are drawn while the camera moves.
     pub moving: usize,
 }
@@ -62,7 +64,7 @@ pub struct Overlay {
 
 impl Overlay {
     pub fn push(&mut self, shapes: Shapes, opacity: f32, behind: f32) {
-        self.batches.push(Batch { shapes, opacity, behind, moving: usize::MAX });
+        self.batches.push(Batch { shapes, opacity, behind, scale: 1.0, moving: usize::MAX });
     }
 
     /// The twelve edges of boxes.

@@ -17,6 +17,8 @@ struct Frame {
 struct Batch {
     opacity: f32,
     behind: f32,
+    // Times the widths of lines and the sizes of points.
+    scale: f32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;
@@ -116,10 +118,11 @@ fn line_vertex(
     )[index];
     let end = select(clip_a, clip_b, corner.x > 0.5);
     // One pixel more than half the width: the edge fades there.
-    let reach = 0.5 * start.w + 1.0;
+    let half_width = 0.5 * start.w * batch.scale;
+    let reach = half_width + 1.0;
     let offset = normal * corner.y * reach / pixels;
     let position = vec4<f32>(end.xy + offset * end.w, end.z, end.w);
-    return LinePixel(position, color, corner.y * reach, 0.5 * start.w);
+    return LinePixel(position, color, corner.y * reach, half_width);
 }
 
 @fragment
@@ -150,7 +153,7 @@ fn point_vertex(
         vec2<f32>(-1.0, -1.0), vec2<f32>(1.0, -1.0), vec2<f32>(1.0, 1.0),
         vec2<f32>(-1.0, -1.0), vec2<f32>(1.0, 1.0), vec2<f32>(-1.0, 1.0),
     )[index];
-    let radius = 0.5 * at.w;
+    let radius = 0.5 * at.w * batch.scale;
     let reach = corner * (radius + 1.0);
     let centre = clip(sight);
     let offset = reach / (0.5 * vec2<f32>(frame.width, frame.height));

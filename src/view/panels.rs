@@ -237,7 +237,7 @@ pub const KEYS: &[(&str, &str)] = &[
     ("F", "frame the current node"),
     ("Home", "frame the whole scene"),
     ("1 2 3 4", "modes: move, explore, crossplane, query"),
-    ("Tab", "the other tree"),
+    ("V", "the other tree"),
     ("H", "hide or show the panels"),
     ("?", "this list"),
 ];

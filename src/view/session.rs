@@ -16,6 +16,9 @@ use std::time::Instant;
 const TURN: f32 = 3.0;
 /// Diagonals of the scene per second, when flying.
 const SPEED: f32 = 0.15;
+/// Widths of the panels: the same in every mode, so that pictures stay where they are.
+const LEFT: f32 = 264.0;
+const RIGHT: f32 = 340.0;
 /// Overlays begin at this share of the scene's diagonal from the eye.
 const NEAR: f32 = 1e-5;
 
@@ -95,8 +98,9 @@ impl Session {
         egui::Panel::top("modes").show(ui, |ui| {
             ui.horizontal(|ui| {
                 let current = self.modes.name();
-                let names: Vec<(ModeName, &str, &str)> = self.modes.names().collect();
-                for (number, (name, label, purpose)) in names.into_iter().enumerate() {
+                for (number, name) in ModeName::ALL.into_iter().enumerate() {
+                    let mode = self.modes.mode(name);
+                    let (label, purpose) = (mode.name(), mode.purpose());
                     let text = RichText::new(format!("{} {label}", number + 1));
                     if ui.selectable_label(name == current, text).on_hover_text(purpose).clicked() {
                         self.modes.switch(name, &mut self.shared);
@@ -112,10 +116,10 @@ impl Session {
             });
         });
         egui::Panel::bottom("status").show(ui, |ui| self.status(ui));
-        egui::Panel::left("layers").default_size(250.0).show(ui, |ui| {
+        egui::Panel::left("layers").exact_size(LEFT).show(ui, |ui| {
             egui::ScrollArea::vertical().show(ui, |ui| panels::layers(ui, &mut self.shared));
         });
-        egui::Panel::right("mode").default_size(330.0).show(ui, |ui| {
+        egui::Panel::right("mode").exact_size(RIGHT).show(ui, |ui| {
             egui::ScrollArea::vertical().show(ui, |ui| self.modes.current().panel(ui, &mut self.shared));
         });
     }
@@ -194,8 +198,12 @@ impl Session {
             let id = ui.scope_id().with(("picture", number));
             let response = ui.interact(rect, id, Sense::click_and_drag());
             self.mouse(ui, number, &response, input);
-            let legend = self.picture(ui, number, rect);
-            self.captions(ui, number, rect, legend.as_ref());
+            let mut legends: Vec<Legend> = self.picture(ui, number, rect).into_iter().collect();
+            let layer = &self.shared.layers.rays;
+            let drawn = self.shared.rays.drawn().filter(|_| layer.visible || layer.points);
+            legends.extend(drawn.map(|drawn| drawn.legend.clone()));
+            legends.extend(self.modes.current().legend(number));
+            self.captions(ui, number, rect, &legends);
         }
         self.painter.forget();
     }
@@ -204,6 +212,7 @@ impl Session {
     fn picture(&mut self, ui: &mut Ui, number: usize, rect: Rect) -> Option<Legend> {
         let scale = ui.ctx().pixels_per_point();
         let size = [rect.width(), rect.height()].map(|side| (side * scale).round().max(1.0) as u32);
+        self.shared.aspect = rect.width() / rect.height().max(1.0);
         let (paint, legend) = self.shared.paint(number);
         let view = self.shared.camera.view;
         let frame = &mut self.frames[number];
@@ -231,6 +240,7 @@ impl Session {
             ui.ctx().request_repaint_after(again);
         }
         let mut overlay = Overlay::default();
+        self.shared.rays.overlay(&self.shared.layers.rays, &mut overlay);
         self.shared.boxes(number, &mut overlay);
         self.modes.current().overlay(&self.shared, number, &mut overlay);
         let surfaces = &self.shared.layers.surfaces;
@@ -248,7 +258,7 @@ impl Session {
     }
 
     /// What stands in a picture: the tree's name where there are two, and what colours mean.
-    fn captions(&self, ui: &mut Ui, number: usize, rect: Rect, legend: Option<&Legend>) {
+    fn captions(&self, ui: &mut Ui, number: usize, rect: Rect, legends: &[Legend]) {
         let boxed = |ui: &mut Ui, place: Rect, contents: &mut dyn FnMut(&mut Ui)| {
             let mut inner = ui.new_child(egui::UiBuilder::new().max_rect(place));
             let fill = egui::Color32::from_black_alpha(170);
@@ -267,15 +277,17 @@ impl Session {
                 ui.label(if active { text.strong() } else { text });
             });
         }
-        if let Some(legend) = legend {
+        let mut bottom = rect.bottom() - 8.0;
+        for legend in legends {
             let rows = match legend {
                 Legend::Kinds { kinds, .. } => kinds.len() as f32 + 1.0,
                 _ => 2.5,
             };
-            let height = 23.0 * rows + 14.0;
-            let corner = egui::pos2(rect.left() + 8.0, rect.bottom() - height - 8.0);
-            let place = Rect::from_min_size(corner, vec2(216.0, height));
+            let height = 22.0 * rows + 10.0;
+            let place =
+                Rect::from_min_size(egui::pos2(rect.left() + 8.0, bottom - height), vec2(250.0, height));
             boxed(ui, place, &mut |ui| panels::legend(ui, legend));
+            bottom -= height + 8.0;
         }
     }
 
@@ -291,7 +303,14 @@ impl Session {
         let point = seen.zip(ray).map(|((_, depth), (camera, ray))| {
             ray.at(depth / ray.direction.dot(camera.forward).max(f32::MIN_POSITIVE))
         });
-        Spot { pane: number, place, triangle: seen.map(|seen| seen.0), point, ray: ray.map(|(_, ray)| ray) }
+        Spot {
+            pane: number,
+            place,
+            aspect: width / height,
+            triangle: seen.map(|seen| seen.0),
+            point,
+            ray: ray.map(|(_, ray)| ray),
+        }
     }
 
     /// What the mouse does to a picture: the camera moves, or the mode is told of a click.
@@ -351,10 +370,7 @@ impl Session {
     /// Whether a key means the same in every mode, and was obeyed.
     fn key(&mut self, key: Key, modifiers: Modifiers) -> bool {
         let shared = &mut self.shared;
-        let aspect = self.frames.first().map_or(1.5, |frame| {
-            let [width, height] = frame.canvas.size();
-            width as f32 / height as f32
-        });
+        let aspect = shared.aspect;
         let plain = !modifiers.command && !modifiers.alt;
         let digits = [Key::Num1, Key::Num2, Key::Num3, Key::Num4];
         match key {
@@ -367,7 +383,7 @@ impl Session {
             }
             Key::Home => shared.camera.frame(&shared.opened.bounds.clone(), aspect),
             Key::H if plain => self.panels = !self.panels,
-            Key::Tab => shared.active = (shared.active + 1) % shared.opened.trees.len(),
+            Key::V if plain => shared.active = (shared.active + 1) % shared.opened.trees.len(),
             _ if plain && digits.contains(&key) => {
                 let number = digits.iter().position(|&digit| digit == key).unwrap_or(0);
                 if let Some(&name) = ModeName::ALL.get(number) {

@@ -1,10 +1,12 @@
 //! What all modes and panels share: the files, the camera, where one stands in each tree, what has been counted, what is visible.
 
+use super::heat;
 use super::layers::{Boxes, Layers, SurfaceColor};
 use super::load::{OpenTree, Opened};
 use super::navigate::Navigator;
 use super::overlay::Overlay;
 use super::paint::{self, Paint, Rgba};
+use super::rays::Rays;
 use super::results::Results;
 use super::work::Wake;
 use crate::explore::shares::Measure;
@@ -23,6 +25,8 @@ pub struct Spot {
     pub pane: usize,
     /// In shares of the pane's width and height.
     pub place: [f32; 2],
+    /// Width by height of the pane.
+    pub aspect: f32,
     pub triangle: Option<u32>,
     /// In world space, where there is a triangle.
     pub point: Option<Vec3>,
@@ -70,7 +74,10 @@ pub struct Shared {
     pub active: usize,
     pub traversal: Traversal,
     pub results: Vec<Results>,
+    pub rays: Rays,
     pub hovered: Option<Spot>,
+    /// Width by height of a picture.
+    pub aspect: f32,
     /// Something to be said for a moment.
     pub note: Option<String>,
     pub wake: Wake,
@@ -87,7 +94,9 @@ impl Shared {
             active: 0,
             traversal: Traversal::Odf,
             results: (0..trees).map(|_| Results::default()).collect(),
+            rays: Rays::default(),
             hovered: None,
+            aspect: 1.0,
             note: None,
             painted: (0..trees).map(|_| None).collect(),
             wake,
@@ -121,18 +130,25 @@ impl Shared {
         for (tree, results) in self.opened.trees.iter().zip(&mut self.results) {
             results.update(tree, recording, self.traversal, &self.wake);
         }
+        if let Some(recording) = recording {
+            let tree = (self.active, self.opened.tree(self.active));
+            let (bounds, traversal) = (self.opened.bounds, self.traversal);
+            self.rays.update(&self.layers.rays, tree, recording, traversal, bounds, &self.wake);
+        }
     }
 
     /// Whether anything is being counted.
     pub fn is_counting(&self) -> bool {
-        self.results.iter().any(|results| results.fraction().is_some())
+        self.rays.is_busy() || self.results.iter().any(|results| results.fraction().is_some())
     }
 
     /// How surfaces look in a pane, and what their colours mean.
     pub fn paint(&mut self, pane: usize) -> (Paint, Option<Legend>) {
         let color = self.layers.surfaces.color;
-        let shares = self.results[pane].shares.clone();
-        let stamp = shares.as_ref().map_or(0, |shares| Arc::as_ptr(shares) as usize);
+        let stamp = self.results.iter().fold(0, |stamp: usize, results| {
+            let address = results.shares.as_ref().map_or(0, |shares| Arc::as_ptr(shares) as usize);
+            stamp.rotate_left(7) ^ address
+        });
         let node = if color == SurfaceColor::Subtree { self.cursors[pane].node() } else { 0 };
         let key = (pane, color, node, stamp, self.layers.surfaces.map.name());
         if self.painted[pane].as_ref().is_none_or(|painted| painted.key != key) {
@@ -172,8 +188,18 @@ impl Shared {
         (colors, Some(Legend::Kinds { title: "triangles below".to_owned(), kinds }))
     }
 
-    fn by_heat(&self, _pane: usize) -> Option<(Vec<Rgba>, Option<Legend>)> {
-        None
+    fn by_heat(&self, pane: usize) -> Option<(Vec<Rgba>, Option<Legend>)> {
+        let surfaces = &self.layers.surfaces;
+        let counted = |tree: usize| {
+            Some((&self.opened.trees.get(tree)?.walk, &**self.results.get(tree)?.shares.as_ref()?))
+        };
+        let (colors, legend) = if surfaces.color == SurfaceColor::Difference {
+            heat::differences([counted(0)?, counted(1)?])?
+        } else {
+            let (walk, shares) = counted(pane)?;
+            heat::triangles(surfaces.color, walk, shares, surfaces.map)?
+        };
+        Some((colors, Some(legend)))
     }
 
     /// Draws the boxes that the layer asks for.

@@ -2,9 +2,13 @@
 
 use super::layers::{Boxes, RayColor, SurfaceColor};
 use super::modes::ModeName;
+use super::modes::crossplane::{Facing, Shown as PlaneShows};
+use super::modes::query::Wanted;
 use super::session::Session;
+use super::shared::Shared;
 use crate::render::camera::{Camera, CameraError, View, parse_view};
 use crate::traverse::Traversal;
+use clap::ValueEnum;
 use std::str::FromStr;
 use thiserror::Error;
 
@@ -52,6 +56,14 @@ pub struct Wishes {
     pub rays: Option<usize>,
     /// Most hit points.
     pub points: Option<usize>,
+    /// The way the plane stands, and where.
+    pub plane: Option<(Facing, f32)>,
+    /// What the plane shows.
+    pub shows: Option<PlaneShows>,
+    /// A query or a pixel of the recording, to be followed, and its step.
+    pub query: Option<Wanted>,
+    pub pixel: Option<[u32; 2]>,
+    pub step: usize,
     pub no_panels: bool,
 }
 
@@ -62,6 +74,12 @@ pub enum WishError {
     Camera(#[from] CameraError),
     #[error("--node {node}: the tree has nodes 0 to {last}")]
     Node { node: u32, last: usize },
+    #[error("--{0} needs a recording (.rays)")]
+    NoRecording(&'static str),
+    #[error("--pixel: no tree says how large the recorded image is")]
+    NoImage,
+    #[error("--pixel {x},{y}: the recorded image has {width} x {height} pixels")]
+    Pixel { x: u32, y: u32, width: u32, height: u32 },
 }
 
 impl Wishes {
@@ -108,14 +126,59 @@ impl Wishes {
         if let Some(most) = self.points {
             (layers.rays.points, layers.rays.most) = (true, most);
         }
+        let plane = &mut session.modes.crossplane;
+        (plane.facing, plane.place) = self.plane.unwrap_or((plane.facing, plane.place));
+        plane.shown = self.shows.unwrap_or(plane.shown);
+        if let Some(wanted) = self.wanted(shared)? {
+            session.modes.query.want(wanted, self.step);
+        }
         session.panels = !self.no_panels;
         Ok(())
+    }
+}
+
+impl Wishes {
+    /// The query that is to be followed.
+    fn wanted(&self, shared: &Shared) -> Result<Option<Wanted>, WishError> {
+        let recording = shared.opened.recording.as_ref();
+        if let Some([x, y]) = self.pixel {
+            let recording = recording.ok_or(WishError::NoRecording("pixel"))?;
+            let image = recording.image.ok_or(WishError::NoImage)?;
+            if x >= image.width || y >= image.height {
+                return Err(WishError::Pixel { x, y, width: image.width, height: image.height });
+            }
+            return Ok(Some(Wanted::Pixel(y * image.width + x)));
+        }
+        match (self.query, recording) {
+            (Some(_), None) => Err(WishError::NoRecording("query")),
+            (query, _) => Ok(query),
+        }
+    }
+}
+
+/// A plane: `x`, `y`, `z` or `camera`, and where along its normal, such as `y:0.3`.
+pub fn parse_plane(text: &str) -> Result<(Facing, f32), &'static str> {
+    let expected = "expected x, y, z or camera, and a place from 0 to 1, such as y:0.3";
+    let (facing, place) = text.split_once(':').ok_or(expected)?;
+    let facing = <Facing as ValueEnum>::from_str(facing, true).map_err(|_| expected)?;
+    match place.parse::<f32>() {
+        Ok(place) if (0.0..=1.0).contains(&place) => Ok((facing, place)),
+        _ => Err(expected),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn planes_are_named() {
+        assert_eq!(parse_plane("y:0.3"), Ok((Facing::Y, 0.3)));
+        assert_eq!(parse_plane("camera:0"), Ok((Facing::Camera, 0.0)));
+        for bad in ["", "y", "w:0.5", "x:2", "x:nan", "x:-1"] {
+            assert!(parse_plane(bad).is_err(), "{bad}");
+        }
+    }
 
     #[test]
     fn boxes_are_named() {

@@ -3,11 +3,13 @@
 use super::{Input, Mode};
 use crate::explore::shares::NodeShare;
 use crate::traverse::PreparedRay;
+use crate::view::diagram::DiagramView;
+use crate::view::heat::short;
 use crate::view::layers::{Boxes, SurfaceColor};
-use crate::view::overlay::Overlay;
 use crate::view::paint::{self, color32};
 use crate::view::panels::{count, facts, percent};
 use crate::view::shared::{Shared, Spot, child_name};
+use crate::view::versus::Compared;
 use eframe::egui::{self, Key, RichText, Ui};
 
 /// Nodes in the list of the most expensive ones.
@@ -17,6 +19,8 @@ const LISTED: usize = 12;
 #[derive(Default)]
 pub struct Explore {
     entered: bool,
+    diagram: DiagramView,
+    versus: Compared,
 }
 
 impl Mode for Explore {
@@ -98,7 +102,9 @@ impl Mode for Explore {
         }
     }
 
-    fn overlay(&self, _shared: &Shared, _pane: usize, _overlay: &mut Overlay) {}
+    fn is_settled(&self) -> bool {
+        self.versus.is_settled()
+    }
 
     fn panel(&mut self, ui: &mut Ui, shared: &mut Shared) {
         breadcrumb(ui, shared);
@@ -116,6 +122,9 @@ impl Mode for Explore {
         }
         children(ui, shared, node);
         if let Some(shares) = &shares {
+            ui.add_space(6.0);
+            self.diagram.ui(ui, shared, shares);
+            self.versus.ui(ui, shared);
             ui.add_space(6.0);
             ui.label(RichText::new("Where most is spent").strong())
                 .on_hover_text("Nodes by what is spent at each itself: on tests of its children's boxes, or of its triangles");
@@ -186,8 +195,8 @@ fn describe(ui: &mut Ui, number: u32, node: &NodeShare) {
             ),
             (
                 "area",
-                format!("{:.4} ({} of root)", node.area, percent(node.area_to_root)),
-                "Surface of the box: what SAH takes for the chance of being hit",
+                format!("{} ({})", short(node.area), percent(node.area_to_root)),
+                "Surface of the box, and its part of the root's: what SAH takes for the chance of being hit",
             ),
             (
                 "queries through it",
@@ -239,7 +248,11 @@ fn describe_geometry(ui: &mut Ui, shared: &Shared, number: u32) {
             ("level", tree.walk.level(number).to_string(), "Of the root: 0"),
             ("children", if node.is_leaf() { "–".to_owned() } else { node.len().to_string() }, ""),
             ("triangles below", count(tree.walk.triangles(number).len() as u64), ""),
-            ("area", format!("{area:.4} ({} of root)", percent(area / root)), "Surface of the box"),
+            (
+                "area",
+                format!("{} ({})", short(area), percent(area / root)),
+                "Surface of the box, and its part of the root's",
+            ),
         ],
     );
     ui.weak(if shared.opened.recording.is_some() {

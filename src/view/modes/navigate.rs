@@ -10,6 +10,7 @@ const DIGITS: [Key; 9] =
     [Key::Num1, Key::Num2, Key::Num3, Key::Num4, Key::Num5, Key::Num6, Key::Num7, Key::Num8, Key::Num9];
 
 /// The mode has no state of its own: the camera is everybody's.
+#[derive(Default)]
 pub struct Navigate;
 
 impl Mode for Navigate {
@@ -66,8 +67,7 @@ impl Mode for Navigate {
         });
         ui.horizontal_wrapped(|ui| {
             if ui.button("Whole scene").on_hover_text("Key: Home").clicked() {
-                let aspect = 1.5;
-                shared.camera.frame(&shared.opened.bounds, aspect);
+                shared.camera.frame(&shared.opened.bounds, shared.aspect);
             }
             if ui
                 .button("Start view")
