@@ -67,9 +67,9 @@ impl Versus {
 
     /// The nodes in which `side` spends more than the other tree, the largest difference first; none lies below another.
     ///
-    /// A node is not listed when one child has nearly all of its difference, and otherwise when its parts say more: among all sets of nodes
-    /// that do not overlap, the one is taken whose differences have the greatest sum, when each node must bring `least` more than it costs
-    /// to read about it. So all that are listed differ by more than `least`, a share of the whole.
+    /// Among all sets of nodes that do not overlap, the one whose differences have the greatest sum, when every node in the list costs `least`, a share of
+    /// the whole: so a node stands for its parts unless they say more, and all that are listed differ by more than `least`. But a node that owes nearly all
+    /// of its difference to one child is not listed in that child's stead.
     pub fn dearest(&self, walk: &Walk, side: Side, least: f64) -> Vec<Contrast> {
         let nodes = walk.tree().nodes;
         let difference = |node: usize| {
