@@ -4,6 +4,7 @@
 //! PNG. `shapes`, `blend` and `optimum` make their own geometry and rays; the others take a trace (a `.bvh` with its `.rays`).
 
 pub mod alpha;
+pub mod animation;
 pub mod blend;
 pub mod measure;
 pub mod optimum;
@@ -25,6 +26,8 @@ use crate::probability::blend::WeightError;
 use crate::probability::shrunk::StrengthError;
 use crate::recipe::RecipeError;
 use crate::tree::TreeView;
+use crate::update::UpdateError;
+use crate::update::policy::PolicyError;
 use measure::{Cost, IdentityError};
 use std::io::{self, Write};
 use thiserror::Error;
@@ -51,6 +54,12 @@ pub enum ExperimentError {
     Trace(#[from] TraceError),
     #[error(transparent)]
     Optimize(#[from] OptimizeError),
+    #[error(transparent)]
+    Update(#[from] UpdateError),
+    #[error("frame {0}: {1}")]
+    Frame(usize, UpdateError),
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
     #[error(transparent)]
     Recipe(#[from] RecipeError),
     #[error(transparent)]

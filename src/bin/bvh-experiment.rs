@@ -8,6 +8,7 @@ use embree_trace::experiment::{self, ExperimentError, Settings};
 use embree_trace::files::{FileError, MappedFile, OutputFile};
 use embree_trace::format::bvh::Bvh;
 use embree_trace::format::rays::Rays;
+use embree_trace::progress::Progress;
 use embree_trace::report::plot::Figure;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -23,6 +24,7 @@ Examples:
   bvh-experiment alpha casts.bvh
   bvh-experiment sampling built.bvh --rays casts.rays --queries 1000000
   bvh-experiment scenes recordings
+  bvh-experiment animation frames
 
 A SCENE is a .bvh; its queries are the .rays of the same name, unless --rays says otherwise.";
 
@@ -50,6 +52,8 @@ enum Experiment {
     Sampling(Sampling),
     /// Every recorded scene in a folder × every builder: a table
     Scenes(Scenes),
+    /// Refitting, rotating and rebuilding from frame to frame of a moving scene (embree-trace FRAMES… --savetrace DIR)
+    Animation(Scenes),
     /// Every heuristic and optimiser against the best of all trees, on random scenes of a few triangles
     Optimum(Optimum),
 }
@@ -206,6 +210,26 @@ fn run(experiment: &Experiment) -> Result<Outcome, Failure> {
             write!(std::io::stdout(), "{}", experiment::scenes::markdown(&rows))?;
             let csv = |out: &mut dyn Write| experiment::scenes::write_csv(&rows, out);
             options.traced.common.write("scenes", csv, experiment::scenes::figure(&rows))
+        }
+        Experiment::Animation(options) => {
+            let paths = recordings(&options.directory)?;
+            if paths.len() < 2 {
+                let what =
+                    "one frame alone does not move; record several with embree-trace FRAMES… --savetrace DIR";
+                return Err(Failure::new(format!("{}: {what}", options.directory.display())));
+            }
+            let progress = Progress::new("frames", experiment::animation::steps(paths.len()));
+            let load = |frame: usize| {
+                let path = &paths[frame];
+                options.traced.with(path, path.with_extension("rays"), |_, trace| Ok(trace.clone()))
+            };
+            let rows = experiment::animation::run(paths.len(), load, &options.traced.settings(1), &progress);
+            drop(progress);
+            let rows = rows?;
+            write!(std::io::stdout(), "{}", experiment::animation::markdown(&rows))?;
+            let csv = |out: &mut dyn Write| experiment::animation::write_csv(&rows, out);
+            let figure = experiment::animation::figure(&rows, &name(&options.directory));
+            options.traced.common.write("animation", csv, figure)
         }
         Experiment::Optimum(Optimum { common, scenes, triangles }) => {
             let trials = scenes.unwrap_or(if common.quick { 50 } else { 1000 });

@@ -3,6 +3,7 @@
 use clap::{Parser, ValueEnum};
 use embree_trace::cli::{self, Failure, Outcome, TextOrJson};
 use embree_trace::files::OutputFile;
+use embree_trace::mesh::generate::Sequence;
 use embree_trace::mesh::{Mesh, generate, obj};
 use embree_trace::progress::Progress;
 use std::io::{BufWriter, Write};
@@ -18,7 +19,8 @@ use std::process::ExitCode;
   make-scene cornell-box box.obj
   make-scene courtyard court.obj --detail 18       a million triangles
   make-scene courtyard court.obj --triangles 200000
-  make-scene terrain land.obj --triangles 10000000"
+  make-scene terrain land.obj --triangles 10000000
+  make-scene twist column.obj --frames 20          column.0000.obj to column.0019.obj, the same faces in each"
 )]
 struct Arguments {
     /// Which scene
@@ -26,12 +28,15 @@ struct Arguments {
     /// The OBJ file to write; its materials go beside it, as .mtl
     output: PathBuf,
     /// How fine: courtyard: triangles grow with its square (1: 5 thousand, 18: a million, 56: ten million);
-    /// quads: cells along a side; slivers: needles; terrain, soup: triangles
+    /// quads: cells along a side; slivers: needles; all others: triangles
     #[arg(long)]
     detail: Option<u32>,
     /// How fine, as about so many triangles
     #[arg(long, conflicts_with = "detail")]
     triangles: Option<u32>,
+    /// Frames of a scene that moves (twist, burst, cloth, crossing), each with its number before the .obj; 1 is the first one alone
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    frames: u32,
     /// Seed of the random numbers, where the scene uses any
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -49,15 +54,24 @@ enum Scene {
     Quads,
     Terrain,
     Soup,
+    Twist,
+    Burst,
+    Cloth,
+    Crossing,
 }
 
 impl Scene {
+    fn moves(self) -> bool {
+        matches!(self, Scene::Twist | Scene::Burst | Scene::Cloth | Scene::Crossing)
+    }
+
     /// The default of `--detail`, and the largest that 32-bit indices allow for.
     fn detail(self) -> (u32, u32) {
         match self {
             Scene::Courtyard => (4, 400),
             Scene::Quads => (16, 10_000),
             Scene::Slivers => (600, 200_000_000),
+            Scene::Twist | Scene::Burst | Scene::Cloth | Scene::Crossing => (100_000, 200_000_000),
             Scene::CornellBox | Scene::Coincident | Scene::Terrain | Scene::Soup => (1_000_000, 200_000_000),
         }
     }
@@ -72,7 +86,8 @@ impl Scene {
         }
     }
 
-    fn generate(self, detail: u32, seed: u64) -> Mesh {
+    /// `time` is that of a frame, from 0 to 1.
+    fn generate(self, detail: u32, seed: u64, time: f64) -> Mesh {
         match self {
             Scene::CornellBox => generate::cornell_box(),
             Scene::Courtyard => generate::courtyard(detail, seed),
@@ -81,6 +96,10 @@ impl Scene {
             Scene::Quads => generate::quads(detail),
             Scene::Terrain => generate::terrain(detail as usize, seed),
             Scene::Soup => generate::soup(detail as usize, seed),
+            Scene::Twist => Sequence::Twist.frame(detail, time),
+            Scene::Burst => Sequence::Burst.frame(detail, time),
+            Scene::Cloth => Sequence::Cloth.frame(detail, time),
+            Scene::Crossing => Sequence::Crossing.frame(detail, time),
         }
     }
 }
@@ -94,20 +113,48 @@ fn main() -> ExitCode {
         if !(1..=largest).contains(&detail) {
             return Err(Failure::new(format!("--detail {detail}: expected 1 to {largest} for this scene")));
         }
-        let mesh = arguments.scene.generate(detail, arguments.seed);
+        if arguments.frames > 1 && !arguments.scene.moves() {
+            return Err(Failure::new("--frames is for scenes that move: twist, burst, cloth, crossing"));
+        }
         let library = arguments.output.with_extension("mtl");
-        write(&mesh, &arguments.output, &library)?;
-        let (triangles, vertices) = (mesh.triangle_count(), mesh.vertices.len());
-        let path = arguments.output.display();
+        let last = f64::from(arguments.frames - 1).max(1.0);
+        let (mut triangles, mut vertices) = (0, 0);
+        for frame in 0..arguments.frames {
+            let mesh = arguments.scene.generate(detail, arguments.seed, f64::from(frame) / last);
+            (triangles, vertices) = (mesh.triangle_count(), mesh.vertices.len());
+            write(&mesh, &arguments.path(frame), &library)?;
+        }
+        let path = arguments.path(0);
+        let path = path.display();
         match arguments.format {
-            TextOrJson::Text => println!("{path}: {triangles} triangles, {vertices} vertices"),
+            TextOrJson::Text if arguments.frames == 1 => {
+                println!("{path}: {triangles} triangles, {vertices} vertices");
+            }
+            TextOrJson::Text => {
+                println!(
+                    "{path} and on: {} frames, each {triangles} triangles, {vertices} vertices",
+                    arguments.frames
+                );
+            }
             TextOrJson::Json => println!(
                 "{}",
-                serde_json::json!({ "path": path.to_string(), "triangles": triangles, "vertices": vertices })
+                serde_json::json!({
+                    "path": path.to_string(), "frames": arguments.frames, "triangles": triangles, "vertices": vertices,
+                })
             ),
         }
         Ok(Outcome::Good)
     })
+}
+
+impl Arguments {
+    /// The OBJ of a frame: numbered when there are several.
+    fn path(&self, frame: u32) -> PathBuf {
+        match self.frames {
+            1 => self.output.clone(),
+            _ => self.output.with_extension(format!("{frame:04}.obj")),
+        }
+    }
 }
 
 fn write(mesh: &Mesh, output: &Path, library: &Path) -> Result<(), Failure> {

@@ -8,6 +8,7 @@ mod cornell;
 mod courtyard;
 mod hard;
 mod large;
+mod sequence;
 
 use super::{Faces, Material, Mesh, Part};
 use crate::geometry::Vec3;
@@ -16,6 +17,7 @@ pub use cornell::cornell_box;
 pub use courtyard::courtyard;
 pub use hard::{coincident, quads, slivers};
 pub use large::{soup, terrain};
+pub use sequence::Sequence;
 
 /// Uniform on the unit sphere.
 fn direction(random: &mut Random) -> [f64; 3] {

@@ -2,11 +2,13 @@
 
 use clap::{Parser, ValueEnum};
 use embree_trace::builder::{Config, Count, Splits};
-use embree_trace::cli::TextOrJson;
+use embree_trace::cli::{Failure, TextOrJson};
 use embree_trace::optimize::{Stage, annealing, insertion, reinsertion, rotations, treelets};
 use embree_trace::recipe::{Heuristic, Recipe};
-use embree_trace::replay::select::Filter;
+use embree_trace::replay::select::{Filter, Portion};
+use embree_trace::training::Selection;
 use embree_trace::tree::collapse;
+use embree_trace::update::policy::Method;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -31,6 +33,7 @@ Examples:
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --filter kind=closest --train 0.1
   bvh-build embBuilt.bvh ours.bvh --splits sweep --width 8 --max-leaf 8    up to eight children a node
   bvh-build embBuilt.bvh same.bvh --binary                                 Embree's own tree, made binary
+  bvh-build 0001.bvh next.bvh --update rotate ours.bvh --limit 1.2         ours, of 0000.bvh, for the next frame
 
 Exit codes: 0 good, 2 bad input or usage."
 )]
@@ -109,6 +112,13 @@ pub struct Arguments {
     /// Do not build: make the tree of the input binary, with one triangle a leaf
     #[arg(long, conflicts_with_all = ["rays", "heuristic", "optimize", "width"])]
     pub binary: bool,
+    /// Do not build: bring the tree of the frame before, PREVIOUS, to the triangles of the input, which are the same faces moved. METHOD is refit,
+    /// rotate, rotate-by-rays or rebuild; --rays is then a recording of PREVIOUS
+    #[arg(long, num_args = 2, value_names = ["METHOD", "PREVIOUS"], conflicts_with_all = ["binary", "width", "order", "optimize"])]
+    pub update: Option<Vec<String>>,
+    /// With --update: rebuild when a ray of --rays, or without it a random one, has become FACTOR times as expensive since the last build
+    #[arg(long, value_name = "FACTOR", requires = "update", value_parser = factor)]
+    pub limit: Option<f64>,
     /// Seed of --train and of the optimisers
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -149,6 +159,19 @@ pub enum Optimizer {
     PatientReinsertion,
     /// The best tree over the seven largest subtrees below each node (Karras and Aila 2013)
     Treelets,
+}
+
+/// The tree of the frame before, and what is to become of it.
+pub struct Follow {
+    pub method: Method,
+    pub previous: PathBuf,
+}
+
+fn factor(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(factor) if factor >= 1.0 && factor.is_finite() => Ok(factor),
+        _ => Err("expected a number of at least 1".into()),
+    }
 }
 
 fn share(text: &str) -> Result<f64, String> {
@@ -210,6 +233,26 @@ impl Arguments {
                 let default = reinsertion::Config::default();
                 Stage::Reinsertion(reinsertion::Config { batches: or(default.batches), ..default })
             }
+        }
+    }
+
+    /// Which tree to bring to this frame, and how.
+    pub fn follow(&self) -> Result<Option<Follow>, Failure> {
+        let Some([name, previous]) = self.update.as_deref() else { return Ok(None) };
+        let Some(method) = Method::ALL.into_iter().find(|method| method.name() == name) else {
+            let names = Method::ALL.map(Method::name).join(", ");
+            return Err(Failure::new(format!("--update {name}: expected one of {names}")));
+        };
+        Ok(Some(Follow { method, previous: previous.into() }))
+    }
+
+    /// Which queries of the recording the tree is made from.
+    pub fn selection(&self) -> Selection {
+        Selection {
+            scene: self.scene,
+            filter: self.filter.clone(),
+            portion: Portion { share: self.train, seed: self.seed },
+            most: self.train_limit as usize,
         }
     }
 

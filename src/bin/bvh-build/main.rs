@@ -3,6 +3,7 @@
 mod arguments;
 mod order;
 mod report;
+mod update;
 
 use arguments::Arguments;
 use embree_trace::builder::Splits;
@@ -13,8 +14,6 @@ use embree_trace::format::rays::Rays;
 use embree_trace::geometry::Ray;
 use embree_trace::progress::Progress;
 use embree_trace::recipe::{Made, Recipe, RecipeError, auto, wide};
-use embree_trace::replay::select::Portion;
-use embree_trace::training::Selection;
 use embree_trace::training::occlusions::{self, Occlusions};
 use embree_trace::training::queries::{self, Query};
 use embree_trace::traverse::Prepared;
@@ -42,6 +41,9 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
+    if let Some(follow) = arguments.follow()? {
+        return update::run(arguments, &follow);
+    }
     let asked = arguments.recipe();
     asked.check()?;
     let cuts = matches!(asked.builder.splits, Splits::Spatial(_));
@@ -144,12 +146,7 @@ impl Arguments {
         let at = |error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", path.display()));
         let bytes = MappedFile::open(path)?;
         let rays = Rays::parse(&bytes).map_err(|error| at(&error))?;
-        let selection = Selection {
-            scene: self.scene,
-            filter: self.filter.clone(),
-            portion: Portion { share: self.train, seed: self.seed },
-            most: self.train_limit as usize,
-        };
+        let selection = self.selection();
         let mut training = Training::default();
         if self.is_auto() {
             training.queries = queries::read(&selection, &rays, bvh).map_err(|error| at(&error))?;

@@ -52,6 +52,11 @@ pub fn print(report: &Value, format: TextOrJson) -> std::io::Result<()> {
         writeln!(out, "{} training queries", report["training_queries"])?;
     }
     print_trials(&mut out, &report["build"]["auto"])?;
+    let update = &report["build"]["update"];
+    if let Some(method) = update["method"].as_str() {
+        let rebuilt = if update["rebuilt"] == true { ", rebuilt" } else { "" };
+        writeln!(out, "{method}: {} rotations{rebuilt}", update["rotations"])?;
+    }
     if let Some(stages) = report["optimized"]["stages"].as_array() {
         let mut cost = report["optimized"]["before"].as_f64().unwrap_or_default();
         for stage in stages {
