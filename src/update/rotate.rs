@@ -3,15 +3,18 @@
 //!
 //! Bottom up, each inner node first gets its box, then at most one rotation: a child changes places with a grandchild below the other child, or two
 //! grandchildren below different children do, whichever shrinks the children's boxes most in surface area. Time is linear, and
-//! nothing is stored beside the tree: nodes change places in the array, and what is below them stays where it is.
+//! nothing is stored beside the tree: nodes change places in the array, and what is below them stays where it is. Subtrees that threads took
+//! side by side keep their nodes to themselves; their roots may change places.
 //!
 //! With rays for the probability, [`super::policy`] refits and then asks [`crate::optimize::rotations`], which keeps lists of rays.
 
 use super::Moving;
 use super::refit::{leaf, set};
 use crate::builder::MAX_DEPTH;
+use crate::geometry::padded::PaddedAabb;
 use crate::geometry::{Aabb, Triangle};
 use crate::tree::Node;
+use glam::Vec4Swizzles;
 use rayon::prelude::*;
 
 /// A rotation has to shrink the boxes by this share of the node's own area: less is rounding.
@@ -19,9 +22,15 @@ const WORTHWHILE: f32 = 1e-4;
 
 /// Half the surface area of a box that is not empty.
 #[inline(always)]
-fn half_area(bounds: &Aabb) -> f32 {
-    let e = bounds.extent();
-    e.x * e.y + e.y * e.z + e.z * e.x
+fn half_area(bounds: &PaddedAabb) -> f32 {
+    let e = bounds.upper - bounds.lower;
+    // The fourth lane is 0.
+    e.dot(e.yzxw())
+}
+
+#[inline(always)]
+fn padded(node: &Node) -> PaddedAabb {
+    node.bounds().into()
 }
 
 /// What a visit found.
@@ -39,15 +48,15 @@ struct Pass<'a> {
     base: usize,
     primitives: &'a [u32],
     triangles: &'a [Triangle],
-    /// Subtrees that were visited before, by the number of their root.
-    done: &'a [(u32, Visited)],
+    /// Roots of subtrees that were visited before. They may change places, but nothing below them does: it stays a range of nodes.
+    done: Vec<(u32, Visited)>,
 }
 
 impl Pass<'_> {
     /// Gives the subtree of a node its boxes, and rotates in it. `level` is that of the node, the root's being 1.
     fn visit(&mut self, index: usize, level: usize) -> Visited {
-        if let Ok(place) = self.done.binary_search_by_key(&(index as u32), |(root, _)| *root) {
-            return self.done[place].1;
+        if let Some((_, visited)) = self.done.iter().find(|(root, _)| *root as usize == index) {
+            return *visited;
         }
         let node = self.nodes[index - self.base];
         if node.is_leaf() {
@@ -84,13 +93,14 @@ impl Pass<'_> {
     #[inline(always)]
     fn rotate(&mut self, node: &Node, heights: [usize; 2], level: usize) -> Option<usize> {
         let children = self.children(node);
-        let bounds = children.map(|child| self.nodes[child].bounds());
+        let bounds = children.map(|child| padded(&self.nodes[child]));
         let areas = bounds.each_ref().map(half_area);
-        let grandchildren = children.map(|child| {
-            let child = self.nodes[child];
-            (!child.is_leaf()).then(|| self.children(&child))
+        let grandchildren = children.map(|place| {
+            let child = self.nodes[place];
+            let closed = self.done.iter().any(|(root, _)| *root as usize == place + self.base);
+            (!child.is_leaf() && !closed).then(|| self.children(&child))
         });
-        let grown = |a: &Aabb, b: usize| half_area(&a.union(&self.nodes[b].bounds()));
+        let grown = |a: &PaddedAabb, b: usize| half_area(&a.union(&padded(&self.nodes[b])));
         let highest = 1 + heights[0].max(heights[1]);
         let (mut best, mut exchange) = (0.0, None);
         for side in 0..2 {
@@ -109,7 +119,7 @@ impl Pass<'_> {
         }
         if let [Some(left), Some(right)] = grandchildren {
             for number in 0..2 {
-                let boxes = [left[1], left[0]].map(|place| self.nodes[place].bounds());
+                let boxes = [left[1], left[0]].map(|place| padded(&self.nodes[place]));
                 let gain = areas[0] + areas[1]
                     - grown(&boxes[0], right[number])
                     - grown(&boxes[1], right[1 - number]);
@@ -121,9 +131,22 @@ impl Pass<'_> {
         let whole = half_area(&bounds[0].union(&bounds[1]));
         let ([a, b], height) = exchange.filter(|_| best > WORTHWHILE * whole)?;
         self.nodes.swap(a, b);
+        for (root, _) in &mut self.done {
+            // Closed subtrees keep their places in this list, whatever node they hang from now.
+            let place = *root as usize - self.base;
+            let place = if place == a {
+                b
+            } else if place == b {
+                a
+            } else {
+                place
+            };
+            *root = (place + self.base) as u32;
+        }
         for child in children {
             let node = self.nodes[child];
-            if !node.is_leaf() {
+            let closed = self.done.iter().any(|(root, _)| *root as usize == child + self.base);
+            if !node.is_leaf() && !closed {
                 let [left, right] = self.children(&node).map(|place| self.nodes[place].bounds());
                 set(&mut self.nodes[child], left.union(&right));
             }
@@ -145,7 +168,7 @@ impl Moving {
         let pieces = self.cut.slices(nodes).into_par_iter().zip(&self.cut.pieces).zip(roots).zip(levels);
         let visited: Vec<(Visited, Aabb)> = pieces
             .map(|(((nodes, (_, range)), root), level)| {
-                let mut pass = Pass { nodes, base: range.start, primitives, triangles, done: &[] };
+                let mut pass = Pass { nodes, base: range.start, primitives, triangles, done: Vec::new() };
                 let visited = pass.below(&root, level);
                 let [left, right] = pass.children(&root).map(|child| pass.nodes[child].bounds());
                 (visited, left.union(&right))
@@ -156,14 +179,12 @@ impl Moving {
             set(&mut nodes[*root as usize], bounds);
             done.push((*root, visited));
         }
-        done.sort_unstable_by_key(|(root, _)| *root);
-        let below: usize = done.iter().map(|(_, visited)| visited.rotations).sum();
-        let all = Pass { nodes, base: 0, primitives, triangles, done: &done }.visit(0, 1).rotations;
-        self.ordered &= all == 0;
-        if all > below {
-            // Subtrees changed places: they are no ranges any more.
-            self.put_in_order();
+        let mut pass = Pass { nodes, base: 0, primitives, triangles, done };
+        let rotations = pass.visit(0, 1).rotations;
+        for ((root, _), (now, _)) in self.cut.pieces.iter_mut().zip(pass.done) {
+            *root = now;
         }
-        all
+        self.ordered &= rotations == 0;
+        rotations
     }
 }
