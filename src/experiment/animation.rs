@@ -36,7 +36,7 @@ const LIMIT: f64 = 1.2;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
     Step(policy::Method),
-    /// Refitted, and rebuilt when a recorded ray has become [`LIMIT`] times as expensive.
+    /// Refitted, and rebuilt when a recorded ray has become 1.2 times as expensive.
     RefitUntil,
     /// Rotated, and rebuilt likewise.
     RotateUntil,
