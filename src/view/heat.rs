@@ -43,7 +43,7 @@ impl Scale {
 
     pub fn legend(&self, title: &str, map: ColorMap) -> Legend {
         let [low, high] = [self.low, self.high].map(short);
-        Legend::Scale { title: format!("{title} (magnitudes)"), low, high: format!("{high} or more"), map }
+        Legend::Scale { title: format!("{title} (log)"), low, high: format!("{high} or more"), map }
     }
 }
 
@@ -62,9 +62,7 @@ pub fn short(value: f64) -> String {
 fn values(color: SurfaceColor, walk: &Walk, shares: &Shares) -> Option<(&'static str, Vec<f64>)> {
     let counts = &shares.counted.triangles;
     match color {
-        SurfaceColor::Cost => {
-            Some(("tests per triangle, boxes above it included", per_triangle(walk, shares)))
-        }
+        SurfaceColor::Cost => Some(("tests per triangle, boxes too", per_triangle(walk, shares))),
         SurfaceColor::Tests => {
             Some(("primitive tests per triangle", counts.iter().map(|count| count.tests.into()).collect()))
         }

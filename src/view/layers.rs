@@ -171,7 +171,7 @@ impl Default for Layers {
             rays: RayLayer {
                 visible: false,
                 points: false,
-                opacity: 0.25,
+                opacity: 0.4,
                 behind: 0.15,
                 width: 1.0,
                 size: 4.0,

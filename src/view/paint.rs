@@ -1,6 +1,6 @@
 //! Colours: of surfaces, of values (maps that colour-blind readers can tell apart), and of kinds.
 
-use crate::format::rays::NO_DEPTH;
+use crate::format::rays::{NO_DEPTH, Purpose};
 use crate::geometry::{Triangle, Vec3};
 use colorous::{CIVIDIS, Gradient, INFERNO, VIRIDIS};
 use eframe::egui::Color32;
@@ -98,6 +98,18 @@ pub const KINDS: [Rgba; 7] = [
     [213, 94, 0, 255],
     [204, 121, 167, 255],
 ];
+
+/// The colour of a purpose: camera rays blue, shadow rays green, what bounces orange and red.
+pub fn purpose(purpose: Purpose) -> Rgba {
+    match purpose {
+        Purpose::Unknown => KINDS[6],
+        Purpose::Camera => KINDS[1],
+        Purpose::Shadow => KINDS[2],
+        Purpose::AmbientOcclusion => KINDS[3],
+        Purpose::Diffuse => KINDS[0],
+        Purpose::Specular => KINDS[5],
+    }
+}
 
 /// Colour of the selected node, of its children and of hits: from [`KINDS`].
 pub const SELECTED: Rgba = KINDS[3];

@@ -3,7 +3,7 @@
 use super::layers::{RayColor, RayLayer};
 use super::load::{OpenTree, Recording};
 use super::overlay::{Batch, Line, Overlay, Point, Shapes};
-use super::paint::{HIT, KINDS, MISS, Rgba, color_of_cost, color_of_depth};
+use super::paint::{self, HIT, MISS, Rgba, color_of_cost, color_of_depth};
 use super::results::COSTS;
 use super::shared::Legend;
 use super::work::{Latest, Wake};
@@ -141,7 +141,7 @@ fn drawn(mut segments: Vec<Segment>, matched: u64, sampled: Sampled, by: RayColo
     let high = costs.get(costs.len().saturating_sub(1) * 99 / 100).copied().unwrap_or(1.0).max(1.0);
     let color = |segment: &Segment| -> Rgba {
         match by {
-            RayColor::Purpose => KINDS[segment.purpose as usize],
+            RayColor::Purpose => paint::purpose(segment.purpose),
             RayColor::Depth => color_of_depth(segment.depth),
             RayColor::Hit => {
                 if segment.hit {
@@ -166,7 +166,7 @@ fn drawn(mut segments: Vec<Segment>, matched: u64, sampled: Sampled, by: RayColo
         RayColor::Purpose => Purpose::ALL
             .into_iter()
             .filter(|&purpose| segments.iter().any(|segment| segment.purpose == purpose))
-            .map(|purpose| (KINDS[purpose as usize], purpose.name().to_owned()))
+            .map(|purpose| (paint::purpose(purpose), purpose.name().to_owned()))
             .collect(),
         RayColor::Depth => {
             let mut depths: Vec<u8> = segments.iter().map(|segment| segment.depth).collect();
@@ -185,7 +185,7 @@ fn drawn(mut segments: Vec<Segment>, matched: u64, sampled: Sampled, by: RayColo
             title: "tests per ray".to_owned(),
             low: "0".to_owned(),
             high: format!("{high:.0} or more"),
-            map: super::paint::ColorMap::Inferno,
+            map: paint::ColorMap::Inferno,
         },
         _ => Legend::Kinds { title, kinds },
     };

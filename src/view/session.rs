@@ -17,7 +17,7 @@ const TURN: f32 = 3.0;
 /// Diagonals of the scene per second, when flying.
 const SPEED: f32 = 0.15;
 /// Widths of the panels: the same in every mode, so that pictures stay where they are.
-const LEFT: f32 = 264.0;
+const LEFT: f32 = 272.0;
 const RIGHT: f32 = 340.0;
 /// Overlays begin at this share of the scene's diagonal from the eye.
 const NEAR: f32 = 1e-5;

@@ -251,7 +251,7 @@ fn passing(plane: &Plane, found: &Traffic, shown: Shown) -> Picture {
         faces: Arc::new(cells(plane, found.grid, &sums, high, map)),
         points: Arc::default(),
         legend: Legend::Scale {
-            title: "queries through a cell (magnitudes)".to_owned(),
+            title: "queries through a cell (log)".to_owned(),
             low: "1".to_owned(),
             high: format!("{} or more", short(high)),
             map,

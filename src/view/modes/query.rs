@@ -12,7 +12,7 @@ use crate::render::camera::Camera;
 use crate::traverse::Traversal;
 use crate::view::load::OpenTree;
 use crate::view::overlay::Overlay;
-use crate::view::paint::{KINDS, SELECTED, color32};
+use crate::view::paint::{self, SELECTED, color32};
 use crate::view::panels::{count, facts};
 use crate::view::results::every_query;
 use crate::view::shared::{Shared, Spot};
@@ -198,7 +198,7 @@ impl QueryMode {
                 };
                 let indent = "  ".repeat(record.depth.min(8).into());
                 let text = format!("{indent}{} {answer}", purpose.name());
-                let text = RichText::new(text).monospace().color(color32(KINDS[purpose as usize]));
+                let text = RichText::new(text).monospace().color(color32(paint::purpose(purpose)));
                 let label = ui.selectable_label(place == self.chosen, text);
                 if label.on_hover_text(format!("query {}, depth {}", query.number, record.depth)).clicked() {
                     next = Some(place);
@@ -247,7 +247,7 @@ impl QueryMode {
         );
         for waiting in waiting.iter().take(ROWS) {
             let behind = if waiting.entry > step.end { "  behind the end" } else { "" };
-            ui.monospace(format!("node {:<8} at {:.4}{behind}", waiting.node, waiting.entry));
+            ui.monospace(format!("node {:<8} at {}{behind}", waiting.node, distance(waiting.entry)));
         }
         if waiting.len() > ROWS {
             ui.weak(format!("and {} more", waiting.len() - ROWS));
@@ -261,6 +261,11 @@ fn distance_to([x, y]: [f32; 2], [ax, ay]: [f32; 2], [bx, by]: [f32; 2]) -> f32 
     let length = (dx * dx + dy * dy).max(f32::MIN_POSITIVE);
     let along = (((x - ax) * dx + (y - ay) * dy) / length).clamp(0.0, 1.0);
     (x - ax - along * dx).hypot(y - ay - along * dy)
+}
+
+/// A distance along a ray; one that stands for no end is called so.
+fn distance(t: f32) -> String {
+    if t.abs() < 1e30 { format!("{t:.4}") } else { "no end".to_owned() }
 }
 
 /// A step in words.

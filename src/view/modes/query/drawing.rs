@@ -2,6 +2,7 @@
 
 use crate::explore::rays::{Kept, Segment};
 use crate::explore::steps::{Event, Steps};
+use crate::format::rays::Purpose;
 use crate::geometry::Aabb;
 use crate::view::overlay::{Line, Overlay, Point, Shapes};
 use crate::view::paint::{self, HIT, KINDS, MISS, Rgba, SELECTED};
@@ -17,7 +18,7 @@ pub fn path(shared: &Shared, path: &[Kept], origins: &[Option<usize>], chosen: u
     let others = path.iter().enumerate().filter(|(place, _)| *place != chosen);
     let lines = others.filter_map(|(_, query)| {
         let segment = Segment::of(query.number, &query.record, &shared.opened.bounds)?;
-        let color = KINDS[query.record.purpose as usize % KINDS.len()];
+        let color = paint::purpose(Purpose::from_byte(query.record.purpose));
         Some(Line { from: segment.from, width: 1.5, to: segment.to, color })
     });
     overlay.push(Shapes::Lines(Arc::new(lines.collect())), 0.7, 0.4);
