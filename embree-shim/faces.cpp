@@ -55,6 +55,15 @@ bool Part::keeps(std::uint64_t face) const noexcept {
   return true;
 }
 
+bool Part::keeps_otherwise(const unsigned char* others) const noexcept {
+  Part other = *this;
+  other.vertices = others;
+  for (std::uint64_t face = 0; face < faces; face++) {
+    if (keeps(face) != other.keeps(face)) return true;
+  }
+  return false;
+}
+
 Bounds Part::bounds(std::uint64_t face, std::uint32_t half) const noexcept {
   Bounds bounds = Bounds::empty();
   for (const std::uint32_t corner : corners_of(half)) {

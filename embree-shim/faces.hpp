@@ -60,6 +60,8 @@ struct Part {
 
   // Whether Embree keeps the face: it drops one with a vertex that is missing, NaN or too large.
   bool keeps(std::uint64_t face) const noexcept;
+  // Whether Embree would keep other faces with these vertices in place of its own, as many and as far apart.
+  bool keeps_otherwise(const unsigned char* others) const noexcept;
   // The box of one of a face's triangles.
   Bounds bounds(std::uint64_t face, std::uint32_t half) const noexcept;
   // Writes the face's triangles, 9 floats each. What Embree drops gets NaN in all nine when it would be finite otherwise;

@@ -69,26 +69,28 @@ void Device::check(const char* action) const {
 
 Scene::Scene(const ShimSettings& settings, const float* vertices, std::uint64_t vertex_count, const ShimPart* parts,
              std::uint32_t part_count)
-    : device_(settings.device), quality_(quality_of(settings.quality)), flags_(settings.flags) {
+    : device_(settings.device),
+      quality_(quality_of(settings.quality)),
+      flags_(settings.flags),
+      commit_(settings.commit),
+      vertex_count_(vertex_count) {
+  // Embree refits in scenes of low quality only; the first tree of such a geometry is one of medium quality.
+  if (commit_ == SHIM_COMMIT_REFIT) quality_ = RTC_BUILD_QUALITY_LOW;
   scene_ = rtcNewScene(device_.get());
   device_.check("cannot create a scene");
   // A destructor does not run for an object whose constructor throws, so the scene is held here until it is complete.
   std::unique_ptr<RTCSceneTy, decltype(&rtcReleaseScene)> scene(scene_, &rtcReleaseScene);
 
-  rtcSetSceneBuildQuality(scene_, quality_);
-  int flags = RTC_SCENE_FLAG_NONE;
-  if (flags_ & SHIM_SCENE_ROBUST) flags |= RTC_SCENE_FLAG_ROBUST;
-  if (flags_ & SHIM_SCENE_COMPACT) flags |= RTC_SCENE_FLAG_COMPACT;
-  rtcSetSceneFlags(scene_, static_cast<RTCSceneFlags>(flags));
-
+  set_flags();
   // Embree reads vertices 16 bytes at a time, so the last one needs 4 bytes behind it; 16 are given.
   constexpr std::size_t padding = 16;
   const std::size_t bytes = vertex_count * 3 * sizeof(float);
   std::unique_ptr<RTCBufferTy, Release> buffer(rtcNewBuffer(device_.get(), bytes + padding));
   device_.check("cannot allocate the vertices");
-  char* data = static_cast<char*>(rtcGetBufferData(buffer.get()));
-  if (bytes != 0) std::memcpy(data, vertices, bytes);
-  std::memset(data + bytes, 0, padding);
+  // The geometries hold the buffer; without one, there is nobody to read it.
+  vertices_ = static_cast<float*>(rtcGetBufferData(buffer.get()));
+  if (bytes != 0) std::memcpy(vertices_, vertices, bytes);
+  std::memset(vertices_ + 3 * vertex_count, 0, padding);
 
   attached_.parts.reserve(part_count);
   for (std::uint32_t id = 0; id < part_count; id++) attach(id, parts[id], buffer.get(), vertex_count);
@@ -99,6 +101,42 @@ Scene::Scene(const ShimSettings& settings, const float* vertices, std::uint64_t 
 }
 
 Scene::~Scene() { rtcReleaseScene(scene_); }
+
+void Scene::set_flags() {
+  rtcSetSceneBuildQuality(scene_, quality_);
+  int flags = RTC_SCENE_FLAG_NONE;
+  if (flags_ & SHIM_SCENE_ROBUST) flags |= RTC_SCENE_FLAG_ROBUST;
+  if (flags_ & SHIM_SCENE_COMPACT) flags |= RTC_SCENE_FLAG_COMPACT;
+  if (commit_ != SHIM_COMMIT_ONCE) flags |= RTC_SCENE_FLAG_DYNAMIC;
+  rtcSetSceneFlags(scene_, static_cast<RTCSceneFlags>(flags));
+}
+
+void Scene::update(const float* vertices, std::uint64_t vertex_count) {
+  if (commit_ == SHIM_COMMIT_ONCE) throw Error(RTC_ERROR_INVALID_OPERATION, "the scene is committed only once");
+  if (vertex_count != vertex_count_) {
+    throw Error(RTC_ERROR_INVALID_ARGUMENT, "the scene has " + std::to_string(vertex_count_) + " vertices, and " +
+                                                std::to_string(vertex_count) + " are given");
+  }
+  bool attached = false;
+  for (std::uint32_t id = 0; id < parts().size(); id++) {
+    const Part& part = parts()[id];
+    if (part.faces == 0) continue;
+    attached = true;
+    RTCGeometry geometry = rtcGetGeometry(scene_, id);
+    rtcUpdateGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0);
+    // A refit knows nothing of faces that were dropped and can be kept now, or the reverse: then the faces count as new.
+    if (part.keeps_otherwise(reinterpret_cast<const unsigned char*>(vertices))) {
+      rtcUpdateGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0);
+    }
+    rtcCommitGeometry(geometry);
+    device_.check("cannot update a geometry");
+  }
+  // Nothing has read the vertices so far. Without a geometry that holds it there is no buffer.
+  if (attached) std::memcpy(vertices_, vertices, vertex_count * 3 * sizeof(float));
+  rtcCommitScene(scene_);
+  device_.check("cannot commit the scene again");
+  describe();
+}
 
 void Scene::attach(std::uint32_t id, const ShimPart& part, RTCBuffer vertices, std::uint64_t vertex_count) {
   const bool quads = part.corners == 4;
@@ -126,7 +164,7 @@ void Scene::attach(std::uint32_t id, const ShimPart& part, RTCBuffer vertices, s
     here.indices = static_cast<const unsigned char*>(indices);
     here.index_stride = face_bytes;
     rtcSetGeometryMask(handle, part.mask);
-    rtcSetGeometryBuildQuality(handle, quality_);
+    rtcSetGeometryBuildQuality(handle, commit_ == SHIM_COMMIT_REFIT ? RTC_BUILD_QUALITY_REFIT : quality_);
     rtcCommitGeometry(handle);
     rtcAttachGeometryByID(scene_, handle, id);
     device_.check("cannot attach a geometry");

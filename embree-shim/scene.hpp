@@ -42,7 +42,8 @@ class Device {
   mutable std::string message_;
 };
 
-// A committed scene. Part i is attached as geomID i; parts without faces are numbered but not attached.
+// A committed scene. Part i is attached as geomID i; parts without faces are numbered but not attached. All parts share one
+// buffer of vertices.
 class Scene {
  public:
   Scene(const ShimSettings& settings, const float* vertices, std::uint64_t vertex_count, const ShimPart* parts,
@@ -50,6 +51,10 @@ class Scene {
   ~Scene();
   Scene(const Scene&) = delete;
   Scene& operator=(const Scene&) = delete;
+
+  // Other vertices for the same faces, as many as before: copies them and commits. Needs settings that let a scene be
+  // committed again.
+  void update(const float* vertices, std::uint64_t vertex_count);
 
   RTCScene get() const noexcept { return scene_; }
   const Device& device() const noexcept { return device_; }
@@ -63,12 +68,16 @@ class Scene {
 
  private:
   void attach(std::uint32_t id, const ShimPart& part, RTCBuffer vertices, std::uint64_t vertex_count);
+  void set_flags();
   void describe();
 
   Device device_;
   RTCScene scene_ = nullptr;
   RTCBuildQuality quality_ = RTC_BUILD_QUALITY_MEDIUM;
   std::uint32_t flags_ = 0;
+  std::uint32_t commit_ = SHIM_COMMIT_ONCE;
+  float* vertices_ = nullptr;  // Embree's buffer
+  std::uint64_t vertex_count_ = 0;
   Attached attached_;
 };
 

@@ -58,6 +58,13 @@ ShimScene* shim_scene_new(const ShimSettings* settings, const float* vertices, u
 
 void shim_scene_free(ShimScene* scene) { delete scene; }
 
+uint32_t shim_scene_update(ShimScene* scene, const float* vertices, uint64_t vertex_count, ShimError* error) {
+  return shim::guarded(error, uint32_t{1}, [&] {
+    scene->scene.update(vertices, vertex_count);
+    return uint32_t{0};
+  });
+}
+
 void shim_scene_bounds(const ShimScene* scene, float bounds[6]) {
   RTCBounds found;
   rtcGetSceneBounds(scene->scene.get(), &found);

@@ -19,11 +19,14 @@ typedef struct ShimError {
 
 enum { SHIM_QUALITY_LOW = 0, SHIM_QUALITY_MEDIUM = 1, SHIM_QUALITY_HIGH = 2 };
 enum { SHIM_SCENE_ROBUST = 1, SHIM_SCENE_COMPACT = 2 };
+/* What a scene is committed for: once; or again with other vertices, its trees refitted or rebuilt. */
+enum { SHIM_COMMIT_ONCE = 0, SHIM_COMMIT_REFIT = 1, SHIM_COMMIT_REBUILD = 2 };
 
 typedef struct ShimSettings {
   const char* device; /* configuration string of rtcNewDevice */
   uint32_t quality;   /* SHIM_QUALITY_* */
   uint32_t flags;     /* SHIM_SCENE_* */
+  uint32_t commit;    /* SHIM_COMMIT_*; REFIT ignores the quality */
 } ShimSettings;
 
 /* One geometry; part i is geomID i. The arrays are copied. */
@@ -148,6 +151,9 @@ uint32_t shim_version(void);
 ShimScene* shim_scene_new(const ShimSettings* settings, const float* vertices, uint64_t vertex_count,
                           const ShimPart* parts, uint32_t part_count, ShimError* error);
 void shim_scene_free(ShimScene* scene);
+/* Gives a scene that is not committed only once as many other vertices, copied, and commits it. No intersector may be
+ * asking meanwhile. Non-zero on failure; after one of Embree's own the scene can only be freed. */
+uint32_t shim_scene_update(ShimScene* scene, const float* vertices, uint64_t vertex_count, ShimError* error);
 /* lower x y z, upper x y z; +inf and -inf for an empty scene. */
 void shim_scene_bounds(const ShimScene* scene, float bounds[6]);
 uint64_t shim_scene_triangle_count(const ShimScene* scene);

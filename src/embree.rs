@@ -14,7 +14,7 @@ pub mod testing;
 mod tree;
 
 pub use intersector::{BATCH_RECORDS, BatchSink, Hit, Intersector, Query, Stop};
-pub use settings::{Isa, Quality, Settings, TRI_ACCELS};
+pub use settings::{Commit, Isa, Quality, Settings, TRI_ACCELS};
 pub use tree::{BuiltTree, TreeSource};
 
 use crate::format::bvh::Geometry;
@@ -55,7 +55,7 @@ pub struct Scene {
 /// Mask of every geometry: each query sees it, unless its own mask is 0.
 const ALL_MASKS: u32 = u32::MAX;
 
-// SAFETY: after its commit the C++ scene is only read, and Embree allows queries and reads from any thread.
+// SAFETY: between commits, which need `&mut self`, the C++ scene is only read, and Embree allows queries and reads from any thread.
 unsafe impl Send for Scene {}
 // SAFETY: as above; every `&self` method only reads.
 unsafe impl Sync for Scene {}
@@ -80,6 +80,7 @@ impl Scene {
             device: config.as_ptr(),
             quality: settings.quality.shim_value(),
             flags: settings.shim_flags(),
+            commit: settings.commit.shim_value(),
         };
         let mut error = ffi::no_error();
         // SAFETY: all pointers are to live arrays of the lengths given, `check` has shown every index to be in range, and the
@@ -99,6 +100,27 @@ impl Scene {
             Some(isa) if error.code == ffi::UNSUPPORTED_CPU => EmbreeError::UnsupportedIsa(isa),
             _ => EmbreeError::from_shim(&error),
         })
+    }
+
+    /// Gives the scene other vertices, as many as it has, for the same faces, and commits it as [`Settings::commit`] said.
+    /// Triangles that Embree dropped and could keep now, or the reverse, make their part's tree be built anew.
+    ///
+    /// # Errors
+    /// When the scene is for one commit only, or the number of vertices is another: then nothing has changed. When Embree
+    /// fails, out of memory, the scene must not be asked any more.
+    pub fn update(&mut self, vertices: &[Vec3]) -> Result<(), EmbreeError> {
+        let mut error = ffi::no_error();
+        // SAFETY: the handle is live and, by `&mut self`, nobody asks it; the pointer is to an array of the length given, of
+        // three floats each, which the shim copies.
+        let failed = unsafe {
+            ffi::shim_scene_update(
+                self.handle.as_ptr(),
+                vertices.as_ptr().cast(),
+                vertices.len() as u64,
+                &mut error,
+            )
+        };
+        if failed == 0 { Ok(()) } else { Err(EmbreeError::from_shim(&error)) }
     }
 
     /// The version of the library, such as 31305 for 3.13.5; 0 when it cannot make a device.

@@ -168,6 +168,32 @@ pub fn create(path: &Path) -> Result<File, FileError> {
     File::create(target).map_err(error)
 }
 
+/// Whether `path` can be opened to be read: for files that are needed later.
+///
+/// # Errors
+/// When it cannot.
+pub fn check_readable(path: &Path) -> Result<(), FileError> {
+    File::open(path).map(|_| ()).map_err(|error| FileError::new(path, "open", error))
+}
+
+/// Makes a directory, and those above it; one that is there already must be empty, so that what is written can be told from
+/// what was there.
+///
+/// # Errors
+/// When it cannot be made or read, or is not empty.
+pub fn create_empty_directory(path: &Path) -> Result<(), FileError> {
+    fs::create_dir_all(path).map_err(|error| FileError::new(path, "create the directory", error))?;
+    let mut entries =
+        fs::read_dir(path).map_err(|error| FileError::new(path, "read the directory", error))?;
+    match entries.next() {
+        None => Ok(()),
+        Some(_) => {
+            let error = io::Error::other("the directory is not empty");
+            Err(FileError::new(path, "record into", error))
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -244,6 +270,19 @@ mod tests {
         let buffered = OutputFile::create(path).unwrap().commit_with(|out| out.write_all(b"lost"));
         assert_eq!(buffered.unwrap_err().to_string(), line);
         assert!(path.exists());
+    }
+
+    #[test]
+    fn a_directory_to_fill_is_empty() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a/b");
+        create_empty_directory(&path).unwrap();
+        create_empty_directory(&path).unwrap();
+        fs::write(path.join("old"), "").unwrap();
+        let line = create_empty_directory(&path).unwrap_err().to_string();
+        assert_eq!(line, format!("{}: cannot record into: the directory is not empty", path.display()));
+        let line = create_empty_directory(&path.join("old")).unwrap_err().to_string();
+        assert!(line.starts_with(&format!("{}: cannot create", path.join("old").display())), "{line}");
     }
 
     #[test]

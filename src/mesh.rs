@@ -3,6 +3,7 @@
 //! A reader (`obj`, `ply`) or a generator (`generate`) returns a [`Mesh`]; `embree` attaches each [`Part`] as one geometry,
 //! in order, so a part's number is its Embree geomID; [`Mesh::triangles`] numbers the triangles as the files do.
 
+pub mod frames;
 pub mod generate;
 mod lines;
 pub mod mtl;

@@ -3,7 +3,7 @@
 //! A `Job` says what to compute; `scenery::Scenery` is what it looks at (camera, lights, materials); `tiles` cuts the
 //! image into units of work; an integrator (`path`, `ao`, `primary`, `shadow`) turns each sample of a pixel into
 //! queries and a radiance; `workers` runs the units on threads and puts the radiance on the `film::Film`. Every random number comes from [`sampler::Sampler`],
-//! so nothing depends on threads. Integrators know Embree only as `RayQueries`.
+//! so nothing depends on threads. `pair` writes the files of a recording, `frames` those of a sequence of frames. Integrators know Embree only as `RayQueries`.
 //! Views ([`camera`]) and how they are chosen ([`framing`]) do not need it.
 //!
 //! Each query says which pixel it serves (y * width + x), why it is asked, and its depth: the number of surfaces that the path has met before, so
@@ -14,11 +14,15 @@ pub mod ao;
 pub mod camera;
 #[cfg(feature = "embree")]
 pub mod film;
+#[cfg(feature = "embree")]
+pub mod frames;
 pub mod framing;
 #[cfg(feature = "embree")]
 pub mod job;
 #[cfg(feature = "embree")]
 pub mod lights;
+#[cfg(feature = "embree")]
+pub mod pair;
 #[cfg(feature = "embree")]
 pub mod path;
 #[cfg(feature = "embree")]

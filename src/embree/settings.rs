@@ -75,6 +75,40 @@ impl Quality {
     }
 }
 
+/// How often a scene is committed, and what becomes of its tree when its vertices have moved ([`Scene::update`]).
+///
+/// [`Scene::update`]: super::Scene::update
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Commit {
+    /// Once: the vertices stay.
+    #[default]
+    Once,
+    /// Embree keeps the tree of each part and fits its boxes to the vertices. A dynamic scene of low quality (two levels:
+    /// a tree over the trees of the parts), the only ones that Embree refits.
+    Refit,
+    /// Embree builds anew, in a dynamic scene of the quality that is asked for.
+    Rebuild,
+}
+
+impl Commit {
+    /// The name in options and in `META`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Commit::Once => "once",
+            Commit::Refit => "refit",
+            Commit::Rebuild => "rebuild",
+        }
+    }
+
+    pub(super) fn shim_value(self) -> u32 {
+        match self {
+            Commit::Once => ffi::SHIM_COMMIT_ONCE,
+            Commit::Refit => ffi::SHIM_COMMIT_REFIT,
+            Commit::Rebuild => ffi::SHIM_COMMIT_REBUILD,
+        }
+    }
+}
+
 /// The triangle structures that Embree 3.13 can be told to build; those with an 8 need AVX.
 pub const TRI_ACCELS: [&str; 9] = [
     "bvh4.triangle4",
@@ -102,12 +136,14 @@ pub struct Settings {
     pub compact: bool,
     /// One of [`TRI_ACCELS`]; Embree's choice when `None`.
     pub tri_accel: Option<String>,
+    pub commit: Commit,
 }
 
 impl Settings {
     /// What `rtcNewDevice` takes. Embree ignores what it does not know, so everything is checked here.
     pub(super) fn device_config(&self) -> Result<CString, EmbreeError> {
         let mut config = Vec::new();
+        self.check_refit()?;
         if let Some(isa) = self.isa {
             config.push(format!("isa={isa}"));
         }
@@ -130,6 +166,21 @@ impl Settings {
             config.push(format!("tri_accel={name}"));
         }
         CString::new(config.join(",")).map_err(|error| EmbreeError::Setting(error.to_string()))
+    }
+
+    /// What Embree would silently do without refitting.
+    fn check_refit(&self) -> Result<(), EmbreeError> {
+        if self.commit != Commit::Refit {
+            return Ok(());
+        }
+        let clash = |what: String| {
+            Err(EmbreeError::Setting(format!("Embree does not refit {what}; leave that out, or rebuild")))
+        };
+        match &self.tri_accel {
+            Some(name) => clash(format!("a triangle structure that is asked for by name ({name})")),
+            None if self.quality == Quality::High => clash("trees of high quality".to_owned()),
+            None => Ok(()),
+        }
     }
 
     pub(super) fn shim_flags(&self) -> u32 {

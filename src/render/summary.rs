@@ -31,6 +31,9 @@ pub struct Summary {
     pub queries_per_second: f64,
     pub tree: Option<TreeLine>,
     pub rays: Option<RaysLine>,
+    /// Of a sequence: each frame; everything else is then of the first frame, or the sum over all.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub frames: Vec<FrameLine>,
     pub image: Option<String>,
     pub warnings: Vec<String>,
 }
@@ -49,7 +52,7 @@ pub struct QueryLine {
 pub struct Seconds {
     /// Reading the scene file.
     pub read: f64,
-    /// Embree's build.
+    /// Embree's build, or commit of other vertices.
     pub build: f64,
     /// Reading Embree's tree and writing the `.bvh`.
     pub tree: f64,
@@ -57,6 +60,33 @@ pub struct Seconds {
     pub frame: f64,
     /// Asking, shading, recording.
     pub render: f64,
+}
+
+impl Seconds {
+    pub fn add(&mut self, other: &Seconds) {
+        self.read += other.read;
+        self.build += other.build;
+        self.tree += other.tree;
+        self.frame += other.frame;
+        self.render += other.render;
+    }
+}
+
+/// One frame of a sequence.
+#[derive(Clone, Debug, Serialize)]
+pub struct FrameLine {
+    /// From 0.
+    pub number: u64,
+    pub file: String,
+    /// How frames behind the first are committed.
+    pub commit: &'static str,
+    pub tree: TreeLine,
+    pub rays: RaysLine,
+    /// `build` is the commit.
+    pub seconds: Seconds,
+    /// About the tree; it is among those of the summary, too.
+    #[serde(skip)]
+    pub warning: Option<String>,
 }
 
 /// The tree that was written.
@@ -155,6 +185,7 @@ impl Summary {
             queries_per_second: 0.0,
             tree: None,
             rays: None,
+            frames: Vec::new(),
             image: None,
             warnings: Vec::new(),
         }
@@ -163,7 +194,11 @@ impl Summary {
 
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        writeln!(f, "scene    {}: {} triangles in {} parts", self.scene, self.triangles, self.parts)?;
+        let more = match self.frames.len() {
+            0 | 1 => String::new(),
+            count => format!(" and {} more frames", count - 1),
+        };
+        writeln!(f, "scene    {}{more}: {} triangles in {} parts", self.scene, self.triangles, self.parts)?;
         writeln!(f, "camera   {} --fov {}", self.camera, self.fov_degrees)?;
         writeln!(f, "lights   {}", self.lights)?;
         let Seconds { read, build, tree, frame, render } = self.seconds;
@@ -212,8 +247,30 @@ impl fmt::Display for Summary {
         if let Some(RaysLine { path, bytes, chunks, records }) = &self.rays {
             writeln!(f, "rays     {path}: {bytes} bytes, {records} queries in {chunks} chunks")?;
         }
+        self.write_frames(f)?;
         if let Some(image) = &self.image {
             writeln!(f, "picture  {image}")?;
+        }
+        Ok(())
+    }
+}
+
+impl Summary {
+    /// A line a frame, under a line about all trees.
+    fn write_frames(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let Some(first) = self.frames.first() else { return Ok(()) };
+        writeln!(f, "trees    {}, commit {}", first.tree.producer, first.commit)?;
+        writeln!(
+            f,
+            "{:<9}{:>6} {:>12} {:>10} {:>9} {:>9} {:>9}  recording",
+            "frames", "number", "queries", "nodes", "SAH cost", "commit s", "render s"
+        )?;
+        for FrameLine { number, file, tree, rays, seconds, .. } in &self.frames {
+            writeln!(
+                f,
+                "{:<9}{number:>6} {:>12} {:>10} {:>9.2} {:>9.4} {:>9.3}  {} of {file}",
+                "", rays.records, tree.nodes, tree.sah_cost, seconds.build, seconds.render, rays.path
+            )?;
         }
         Ok(())
     }

@@ -4,23 +4,23 @@ mod record;
 
 use clap::{Parser, ValueEnum};
 use embree_trace::cli::{self, Failure, Outcome, TextOrJson};
-use embree_trace::embree::{BuiltTree, Isa, Quality, Scene, Settings, TreeSource};
-use embree_trace::files::{self, FileError, OutputFile};
-use embree_trace::format::bvh::{self, Contents};
-use embree_trace::format::rays::{Codec, Header};
+use embree_trace::embree::{Commit, Isa, Quality, Scene, Settings, TreeSource};
+use embree_trace::files::{FileError, OutputFile};
+use embree_trace::format::rays::Codec;
 use embree_trace::geometry::Vec3;
 use embree_trace::mesh;
+use embree_trace::mesh::obj::Options;
 use embree_trace::progress::Progress;
-use embree_trace::record::{RecordError, Recorder};
 use embree_trace::render::camera::parse_view;
 use embree_trace::render::film::ImageKind;
+use embree_trace::render::frames::Sequence;
+use embree_trace::render::pair::Pair;
 use embree_trace::render::scenery::{Scenery, Wishes};
-use embree_trace::render::summary::{RaysLine, Summary, TreeLine, camera_option, lights_name, query_lines};
+use embree_trace::render::summary::{Summary, camera_option, lights_name, query_lines};
 use embree_trace::render::tiles::Tiles;
 use embree_trace::render::workers::{Rendered, render};
 use embree_trace::render::{Integrator, Job};
 use std::ffi::OsString;
-use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -38,6 +38,11 @@ Examples:
     embree-trace bunny.ply --integrator ao --spp 16 --output bunny.png
     embree-trace bunny.ply --integrator ao --spp 16
 
+  Record a moving mesh, a pair of files a frame; Embree refits its tree from frame to frame, or builds anew:
+    embree-trace walk_*.obj --savetrace walk
+    embree-trace walk_*.obj --commit rebuild --savetrace rebuilt
+    bvh-compare walk/0007.bvh rebuilt/0007.bvh walk/0007.rays
+
   Record a program that uses Embree (see embree-trace record --help):
     embree-trace record --savetrace casts.rays built.bvh -- blender -b scene.blend -f 1
 
@@ -47,11 +52,16 @@ Exit codes: 0 good, 2 bad input or usage.";
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Arguments {
-    /// OBJ or PLY file; may be compressed (.zst)
-    scene: PathBuf,
-    /// Records the queries to RAYS and the tree to BVH (one dash will do, too); without it, only renders
-    #[arg(long, num_args = 2, value_names = ["RAYS", "BVH"])]
+    /// OBJ or PLY file; may be compressed (.zst). Several are frames of one moving mesh, with the same faces
+    #[arg(required = true)]
+    scene: Vec<PathBuf>,
+    /// Records the queries to RAYS and the tree to BVH (one dash will do, too), or several scenes to the directory DIR:
+    /// 0000.rays, 0000.bvh, …; without it, only renders
+    #[arg(long, num_args = 1..=2, value_names = ["RAYS|DIR", "BVH"])]
     savetrace: Option<Vec<PathBuf>>,
+    /// How Embree commits the vertices of every scene but the first: it refits its tree (the default), or rebuilds it
+    #[arg(long, value_enum, requires = "savetrace")]
+    commit: Option<CommitChoice>,
     /// Compresses the recorded queries, two to four times
     #[arg(long, requires = "savetrace")]
     compress: bool,
@@ -133,6 +143,22 @@ enum TreeChoice {
     Builder,
 }
 
+impl TreeChoice {
+    fn source(self) -> TreeSource {
+        match self {
+            TreeChoice::Live => TreeSource::Live,
+            TreeChoice::Builder => TreeSource::Builder,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Default, ValueEnum)]
+enum CommitChoice {
+    #[default]
+    Refit,
+    Rebuild,
+}
+
 fn isa(name: &str) -> Result<Isa, String> {
     Isa::from_name(name).ok_or_else(|| format!("expected one of {}", Isa::ALL.map(Isa::name).join(", ")))
 }
@@ -156,12 +182,56 @@ fn main() -> ExitCode {
     cli::run("embree-trace", || run(&arguments))
 }
 
+/// Where recordings go.
+enum Trace<'a> {
+    Nowhere,
+    /// Of one scene.
+    Pair(&'a Path, &'a Path),
+    /// Of frames.
+    Directory(&'a Path),
+}
+
+impl<'a> Trace<'a> {
+    fn of(arguments: &'a Arguments) -> Result<Trace<'a>, Failure> {
+        let targets = arguments.savetrace.as_deref().unwrap_or_default();
+        // `--savetrace DIR` in front of the frames would take the first of them as its second value, and write over it.
+        if let Some(scene) = targets.iter().find(|target| is_scene_name(target)) {
+            return Err(Failure::new(format!(
+                "{}: --savetrace would write a recording over a scene; frames stand in front of it, or write --savetrace=DIR",
+                scene.display()
+            )));
+        }
+        match (arguments.scene.len(), targets) {
+            (1, [rays, bvh]) if rays == bvh => {
+                Err(Failure::new(format!("{}: given for both the rays and the tree", rays.display())))
+            }
+            (1, []) => Ok(Trace::Nowhere),
+            (1, [rays, bvh]) => Ok(Trace::Pair(rays, bvh)),
+            (1, [directory, ..]) => Err(Failure::new(format!(
+                "{}: the recording of one scene needs two files, --savetrace RAYS BVH; a directory is for several frames",
+                directory.display()
+            ))),
+            (_, [directory]) => Ok(Trace::Directory(directory)),
+            (count, _) => Err(Failure::new(format!(
+                "{count} scenes are frames of a sequence: record them with --savetrace DIR"
+            ))),
+        }
+    }
+}
+
+/// Whether a path has the name of a scene rather than of a recording.
+fn is_scene_name(path: &Path) -> bool {
+    let name = path.to_string_lossy().to_lowercase();
+    let name = name.strip_suffix(".zst").unwrap_or(&name);
+    name.ends_with(".obj") || name.ends_with(".ply")
+}
+
 /// The arguments, checked.
 struct Plan<'a> {
     job: Job,
     settings: Settings,
     wishes: Wishes,
-    trace: Option<[&'a Path; 2]>,
+    trace: Trace<'a>,
     image: Option<(&'a Path, ImageKind)>,
 }
 
@@ -180,6 +250,17 @@ fn plan(arguments: &Arguments) -> Result<Plan<'_>, Failure> {
         packet: arguments.packet,
     }
     .validated()?;
+    let trace = Trace::of(arguments)?;
+    let commit = match (&trace, arguments.commit) {
+        (Trace::Directory(_), commit) => match commit.unwrap_or_default() {
+            CommitChoice::Refit => Commit::Refit,
+            CommitChoice::Rebuild => Commit::Rebuild,
+        },
+        (_, None) => Commit::Once,
+        (_, Some(_)) => {
+            return Err(Failure::new("--commit is for the frames of a sequence: there is one scene"));
+        }
+    };
     let settings = Settings {
         isa: arguments.isa,
         threads: job.threads,
@@ -187,6 +268,7 @@ fn plan(arguments: &Arguments) -> Result<Plan<'_>, Failure> {
         robust: arguments.flags.contains(&SceneFlag::Robust),
         compact: arguments.flags.contains(&SceneFlag::Compact),
         tri_accel: arguments.tri_accel.clone(),
+        commit,
     };
     let given = arguments.camera.as_deref().map(parse_view).transpose()?;
     let up = arguments.up.map(|up| match up {
@@ -200,14 +282,13 @@ fn plan(arguments: &Arguments) -> Result<Plan<'_>, Failure> {
         fov_degrees: arguments.fov,
     };
     wishes.check()?;
-    let trace = match arguments.savetrace.as_deref() {
-        Some([rays, bvh]) if rays == bvh => {
-            return Err(Failure::new(format!("{}: given for both the rays and the tree", rays.display())));
-        }
-        Some([rays, bvh]) => Some([rays.as_path(), bvh.as_path()]),
-        _ => None,
-    };
     let image = match arguments.output.as_deref() {
+        Some(path) if arguments.scene.len() > 1 => {
+            return Err(Failure::new(format!(
+                "{}: a picture is made of one scene, not of frames",
+                path.display()
+            )));
+        }
         Some(path) => {
             let kind = ImageKind::of(path).ok_or_else(|| {
                 Failure::new(format!("{}: a picture's name ends in .png or .exr", path.display()))
@@ -220,13 +301,57 @@ fn plan(arguments: &Arguments) -> Result<Plan<'_>, Failure> {
 }
 
 fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
-    let Plan { job, settings, wishes, trace, image } = plan(arguments)?;
+    let plan = plan(arguments)?;
+    let summary = match plan.trace {
+        Trace::Directory(directory) => record_frames(arguments, &plan, directory)?,
+        _ => trace_one(arguments, plan)?,
+    };
+    let mut out = std::io::stdout().lock();
+    match arguments.format {
+        TextOrJson::Text => write!(out, "{summary}")?,
+        TextOrJson::Json => {
+            serde_json::to_writer_pretty(&mut out, &summary).map_err(std::io::Error::from)?;
+            writeln!(out)?;
+        }
+    }
+    Ok(Outcome::Good)
+}
+
+fn warn(summary: &Summary) {
+    for warning in &summary.warnings {
+        eprintln!("embree-trace: warning: {warning}");
+    }
+}
+
+fn codec(arguments: &Arguments) -> Codec {
+    if arguments.compress { Codec::Compressed } else { Codec::Raw }
+}
+
+fn record_frames(arguments: &Arguments, plan: &Plan, directory: &Path) -> Result<Summary, Failure> {
+    let summary = Sequence {
+        files: &arguments.scene,
+        directory,
+        options: Options { quads: arguments.quads },
+        settings: &plan.settings,
+        job: plan.job,
+        wishes: plan.wishes,
+        source: arguments.bvh.source(),
+        codec: codec(arguments),
+    }
+    .record()?;
+    warn(&summary);
+    Ok(summary)
+}
+
+fn trace_one(arguments: &Arguments, plan: Plan) -> Result<Summary, Failure> {
+    let Plan { job, settings, wishes, trace, image } = plan;
+    let [path] = &arguments.scene[..] else { return Err(Failure::new("expected one scene")) };
     let mut summary = Summary::new(&job);
-    summary.scene = arguments.scene.display().to_string();
+    summary.scene = path.display().to_string();
     let mut clock = Instant::now();
     let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
 
-    let (mesh, warnings) = mesh::read_with(&arguments.scene, &mesh::obj::Options { quads: arguments.quads })?;
+    let (mesh, warnings) = mesh::read_with(path, &Options { quads: arguments.quads })?;
     summary.warnings.extend(warnings.to_string().lines().map(str::to_owned));
     (summary.triangles, summary.parts) = (mesh.triangle_count() as u64, mesh.parts.len() as u64);
     summary.seconds.read = lap();
@@ -245,27 +370,27 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     summary.seconds.frame = lap();
     drop((mesh, triangles));
 
-    let recorder = match trace {
-        Some([rays, bvh]) => {
-            // The file of rays first: the tree must not replace an old one when there will be no rays.
-            let out = files::create(rays)?;
-            let (tree, header) = write_tree(&scene, arguments.bvh, bvh, size, &mut summary)?;
-            summary.tree = Some(tree);
-            summary.seconds.tree = lap();
-            Some(start_recorder(rays, out, &header, arguments.compress, job.threads)?)
+    let pair = match trace {
+        Trace::Pair(rays, bvh) => {
+            Some(Pair { rays, bvh, codec: codec(arguments), source: arguments.bvh.source() })
         }
-        None => None,
+        _ => None,
     };
-    for warning in &summary.warnings {
-        eprintln!("embree-trace: warning: {warning}");
+    let mut recorder = None;
+    if let Some(pair) = &pair {
+        // Records name pixels by y * width + x; with the size, tools that see only the files can draw them.
+        let started = pair.start(&scene, &serde_json::json!({ "image": size }), job.threads)?;
+        summary.warnings.extend(started.warning);
+        (summary.tree, recorder) = (Some(started.tree), Some(started.recorder));
+        summary.seconds.tree = lap();
     }
+    warn(&summary);
 
     let progress = Progress::new("rendering", Tiles::new(&job).len());
     let Rendered { film, tally, refused, .. } = render(&scene, &scenery, &job, recorder.as_ref(), &progress)?;
     drop(progress);
-    if let (Some(recorder), Some([rays, _])) = (recorder, trace) {
-        let totals = recorder.finish().map_err(|error| named(rays, &error))?;
-        summary.rays = Some(RaysLine::new(rays.display().to_string(), &totals));
+    if let (Some(recorder), Some(pair)) = (recorder, &pair) {
+        summary.rays = Some(pair.finish(recorder)?);
     }
     summary.seconds.render = lap();
     summary.queries_per_second = tally.total().queries as f64 / summary.seconds.render;
@@ -276,66 +401,5 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         file.commit_with(|out| out.write_all(&bytes))?;
         summary.image = Some(path.display().to_string());
     }
-    let mut out = std::io::stdout().lock();
-    match arguments.format {
-        TextOrJson::Text => write!(out, "{summary}")?,
-        TextOrJson::Json => {
-            serde_json::to_writer_pretty(&mut out, &summary).map_err(std::io::Error::from)?;
-            writeln!(out)?;
-        }
-    }
-    Ok(Outcome::Good)
-}
-
-/// Writes the `.bvh`; its fingerprint goes into the header of the `.rays`.
-fn write_tree(
-    scene: &Scene,
-    choice: TreeChoice,
-    path: &Path,
-    image: [u32; 2],
-    summary: &mut Summary,
-) -> Result<(TreeLine, Header), Failure> {
-    // Records name pixels by y * width + x; with the size, tools that see only the files can draw them.
-    let meta = serde_json::json!({ "image": image }).to_string();
-    let source = match choice {
-        TreeChoice::Live => TreeSource::Live,
-        TreeChoice::Builder => TreeSource::Builder,
-    };
-    let BuiltTree { tree, triangles, geometries, producer, flags, warning } = scene.tree(source)?;
-    summary.warnings.extend(warning);
-    let contents = Contents {
-        tree: tree.view(),
-        triangles: &triangles,
-        geometries: &geometries,
-        order: None,
-        meta: Some(&meta),
-        flags,
-        producer: &producer,
-    };
-    let fingerprint = OutputFile::create(path)?.commit_with(|out| bvh::write(out, &contents))?;
-    let bytes = std::fs::metadata(path).map_or(0, |metadata| metadata.len());
-    let line = TreeLine::new(path.display().to_string(), bytes, producer, tree.view());
-    let header = Header {
-        fingerprint,
-        embree_version: Scene::version(),
-        deterministic: true,
-        producer: concat!("embree-trace ", env!("CARGO_PKG_VERSION")).to_owned(),
-    };
-    Ok((line, header))
-}
-
-fn start_recorder(
-    path: &Path,
-    out: File,
-    header: &Header,
-    compress: bool,
-    threads: usize,
-) -> Result<Recorder, Failure> {
-    let codec = if compress { Codec::Compressed } else { Codec::Raw };
-    Recorder::start(out, header, codec, threads).map_err(|error| named(path, &error))
-}
-
-/// A recorder's error, which knows no path, with its path.
-fn named(path: &Path, error: &RecordError) -> Failure {
-    Failure::new(format!("{}: {error}", path.display()))
+    Ok(summary)
 }
