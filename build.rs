@@ -20,6 +20,9 @@ mod embree {
     const DIRECTORY: &str = "embree-shim";
     /// What the names of the preload library's own sources start with.
     const PRELOAD: &str = "preload";
+    /// The versions of Embree that the shim can be built with, the one to be preferred first: only its tree can be read. The
+    /// environment variable `EMBREE_MAJOR` asks for one of them.
+    const VERSIONS: [&str; 2] = ["3", "4"];
     /// Sources of the shim that the preload library needs, too; none of them calls Embree.
     const SHARED: [&str; 4] = ["faces.cpp", "live_bvh.cpp", "memory.cpp", "tree.cpp"];
 
@@ -37,12 +40,14 @@ mod embree {
             .warnings(true)
             .extra_warnings(true)
             .warnings_into_errors(true);
-        check_packages(&shim, &out)?;
+        let version = embree_version(&shim, &out)?;
+        // How `embree-shim` knows it.
+        shim.define("EMBREE_MAJOR", version);
         link_preload(&shim, &sources, &out)?;
         shim.files(sources.iter().filter(|source| !is_preload(source)));
         shim.try_compile("embree_trace_shim")
             .map_err(|error| format!("cannot compile {DIRECTORY}: {error}"))?;
-        println!("cargo::rustc-link-lib=embree3");
+        println!("cargo::rustc-link-lib=embree{version}");
         bind(&out)
     }
 
@@ -83,9 +88,10 @@ mod embree {
         Ok(sources)
     }
 
-    /// A compiler, Embree's header and Embree's library, each asked for by name: the errors of a failed build would not say
-    /// which package is missing.
-    fn check_packages(shim: &cc::Build, out: &Path) -> Result<(), String> {
+    /// The version of Embree that has its header and its library here. A compiler and both of those are asked for by name: the
+    /// errors of a failed build would not say which package is missing.
+    fn embree_version(shim: &cc::Build, out: &Path) -> Result<&'static str, String> {
+        println!("cargo::rerun-if-env-changed=EMBREE_MAJOR");
         let compiler = shim
             .try_get_compiler()
             .map_err(|error| format!("there is no C++ compiler ({error}): {INSTALL}"))?;
@@ -94,18 +100,29 @@ mod embree {
                 format!("cannot run the C++ compiler {}: {error}: {INSTALL}", compiler.path().display())
             })
         };
-        let probe = "embree_probe.cpp";
-        std::fs::write(out.join(probe), "#include <embree3/rtcore.h>\n")
-            .map_err(|error| format!("cannot write in {}: {error}", out.display()))?;
-        if !run(&["-E", "-o", "embree_probe.ii", probe])?.status.success() {
-            return Err(format!("the header embree3/rtcore.h (package libembree-dev) is missing: {INSTALL}"));
+        let find = |version| {
+            let (header, library) = (format!("embree{version}/rtcore.h"), format!("libembree{version}.so"));
+            let probe = "embree_probe.cpp";
+            std::fs::write(out.join(probe), format!("#include <{header}>\n"))
+                .map_err(|error| format!("cannot write in {}: {error}", out.display()))?;
+            if !run(&["-E", "-o", "embree_probe.ii", probe])?.status.success() {
+                return Err(format!("the header {header} (package libembree-dev) is missing: {INSTALL}"));
+            }
+            // The compiler prints the path that it found, or the bare name when it found none.
+            let found = run(&[&format!("-print-file-name={library}")])?.stdout;
+            if !Path::new(String::from_utf8_lossy(&found).trim()).is_absolute() {
+                return Err(format!("the library {library} (package libembree-dev) is missing: {INSTALL}"));
+            }
+            Ok(version)
+        };
+        match std::env::var("EMBREE_MAJOR") {
+            Ok(asked) => {
+                let version = VERSIONS.into_iter().find(|&version| version == asked);
+                find(version.ok_or_else(|| format!("EMBREE_MAJOR is neither 3 nor 4, but {asked:?}"))?)
+            }
+            // Where there is neither, what Embree 3 lacks is told.
+            Err(_) => find(VERSIONS[0]).or_else(|missing| find(VERSIONS[1]).map_err(|_| missing)),
         }
-        // The compiler prints the path that it found, or the bare name when it found none.
-        let library = run(&["-print-file-name=libembree3.so"])?.stdout;
-        if !Path::new(String::from_utf8_lossy(&library).trim()).is_absolute() {
-            return Err(format!("the library libembree3.so (package libembree-dev) is missing: {INSTALL}"));
-        }
-        Ok(())
     }
 
     /// Rust declarations of `shim.h` and `exchange.h`, which includes it.

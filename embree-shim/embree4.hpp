@@ -1,16 +1,15 @@
 // What Embree 4 calls by the same names as Embree 3, with other arguments. Debian 12 has no header of it, so what the preload
 // library needs stands here: https://github.com/RenderKit/embree, doc/src/api.md, "Upgrading from Embree 3 to Embree 4".
 //
-// The same in both, and so taken from Embree 3's header: rays, hits, packets, bounds, filter functions and their arguments,
+// The same in both, and so taken from embree3.hpp: rays, hits, packets, bounds, filter functions and their arguments,
 // the numbers of formats, buffers and geometry types, and every call that is not declared here. (A hit of Embree 4 may have a
 // field behind the last one of Embree 3.)
 #pragma once
 
-#define RTC_EXPORT_API
-#include <embree3/rtcore.h>
-
 #include <cstddef>
 #include <cstdint>
+
+#include "embree3.hpp"
 
 namespace embree4 {
 

@@ -46,18 +46,15 @@ class EmbreeIntersector final : public Intersector {
  public:
   explicit EmbreeIntersector(const Scene& scene) : scene_(scene.get()) {
     for (const Part& part : scene.parts()) places_.push_back({part.first_triangle, part.corners == 4});
-    rtcInitIntersectContext(&incoherent_);
-    coherent_ = incoherent_;
-    coherent_.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
   }
 
   Outcome closest_hit(const Query& query, Hit& hit) noexcept override {
     if (!is_answerable(query)) return refuse();
-    RTCRayHit asked;
+    Asked<RTCRayHit, 1> asked;
     load(asked.ray, query);
     asked.hit.geomID = RTC_INVALID_GEOMETRY_ID;
     asked.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-    rtcIntersect1(scene_, context(query.coherent), &asked);
+    traversal(query.coherent).intersect(scene_, &asked);
     if (asked.hit.geomID == RTC_INVALID_GEOMETRY_ID) return Outcome::miss;
     const RTCHit& found = asked.hit;
     hit.t = asked.ray.tfar;
@@ -72,7 +69,7 @@ class EmbreeIntersector final : public Intersector {
     if (!is_answerable(query)) return refuse();
     RTCRay asked;
     load(asked, query);
-    rtcOccluded1(scene_, context(query.coherent), &asked);
+    traversal(query.coherent).occluded(scene_, &asked);
     return occlusion(query.tfar, asked.tfar);
   }
 
@@ -106,8 +103,7 @@ class EmbreeIntersector final : public Intersector {
     return Outcome::refused;
   }
 
-  // Embree wants a context that it may write to; ours have nothing in them that it writes.
-  RTCIntersectContext* context(bool coherent) noexcept { return coherent ? &coherent_ : &incoherent_; }
+  Traversal& traversal(bool coherent) noexcept { return coherent ? coherent_ : incoherent_; }
 
   static void load(RTCRay& ray, const Query& query) noexcept {
     ray.org_x = query.origin[0];
@@ -153,13 +149,13 @@ class EmbreeIntersector final : public Intersector {
   template <int width>
   void closest_hits(const Query* queries, Hit* hits, Outcome* outcomes) noexcept {
     alignas(64) int valid[width];
-    typename Packet<width>::RayHit asked;
+    Asked<typename Packet<width>::RayHit, width> asked;
     const bool coherent = load<width>(asked.ray, valid, queries, outcomes);
     for (int lane = 0; lane < width; lane++) {
       asked.hit.geomID[lane] = RTC_INVALID_GEOMETRY_ID;
       asked.hit.instID[0][lane] = RTC_INVALID_GEOMETRY_ID;
     }
-    Packet<width>::intersect(valid, scene_, context(coherent), &asked);
+    traversal(coherent).template intersect<Packet<width>::intersect>(valid, scene_, &asked);
     for (int lane = 0; lane < width; lane++) {
       if (valid[lane] == 0 || asked.hit.geomID[lane] == RTC_INVALID_GEOMETRY_ID) continue;
       outcomes[lane] = Outcome::hit;
@@ -177,7 +173,7 @@ class EmbreeIntersector final : public Intersector {
     alignas(64) int valid[width];
     typename Packet<width>::Ray asked;
     const bool coherent = load<width>(asked, valid, queries, outcomes);
-    Packet<width>::occluded(valid, scene_, context(coherent), &asked);
+    traversal(coherent).template occluded<Packet<width>::occluded>(valid, scene_, &asked);
     for (int lane = 0; lane < width; lane++) {
       if (valid[lane] != 0) outcomes[lane] = occlusion(queries[lane].tfar, asked.tfar[lane]);
     }
@@ -196,8 +192,8 @@ class EmbreeIntersector final : public Intersector {
 
   RTCScene scene_;
   std::vector<Place> places_;
-  RTCIntersectContext incoherent_;
-  RTCIntersectContext coherent_;
+  Traversal incoherent_{false};
+  Traversal coherent_{true};
   std::uint64_t refused_ = 0;
 };
 

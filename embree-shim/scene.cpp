@@ -15,9 +15,9 @@ const char* name(RTCError code) noexcept {
     case RTC_ERROR_OUT_OF_MEMORY: return "out of memory";
     case RTC_ERROR_UNSUPPORTED_CPU: return "not supported by this CPU";
     case RTC_ERROR_CANCELLED: return "cancelled";
-    case RTC_ERROR_UNKNOWN: break;
+    // RTC_ERROR_UNKNOWN, and what a later version adds: Embree 4.4 has an error of GPUs.
+    default: return "unknown error";
   }
-  return "unknown error";
 }
 
 RTCBuildQuality quality_of(std::uint32_t quality) noexcept {

@@ -1,13 +1,12 @@
 // Device and scene of Embree, owned.
 #pragma once
 
-#include <embree3/rtcore.h>
-
 #include <cstdint>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
+#include "embree_api.hpp"
 #include "faces.hpp"
 #include "shim.h"
 

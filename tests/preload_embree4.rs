@@ -2,61 +2,23 @@
 //! PyPI. Where that cannot be had, these tests say so and pass.
 #![cfg(feature = "embree")]
 
+mod embree4_support;
 mod preload_support;
 
 use embree_trace::format::bvh::{Bvh, flag};
 use embree_trace::format::rays::{Rays, flag as record_flag};
+use embree4_support::{library, package};
 use preload_support::{Judged, Run, compiled_host, lines, unrecorded_host};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::OnceLock;
 
-const PACKAGE: &str = "embreex==4.4.0.post1";
-/// Of the package's library.
+/// Of the library.
 const VERSION: u32 = 40400;
-
-/// Where the package is, installed once per checkout; `None`, after saying so, when that is not possible.
-fn package() -> Option<&'static Path> {
-    static PACKAGE_PATH: OnceLock<Option<PathBuf>> = OnceLock::new();
-    let found = PACKAGE_PATH.get_or_init(|| {
-        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(PACKAGE);
-        if path.join("embreex.libs").exists() {
-            return Some(path);
-        }
-        let beside = path.with_extension(std::process::id().to_string());
-        let installed = Command::new("/usr/bin/python3")
-            .args(["-m", "pip", "install", "--quiet", "--no-deps", "--only-binary", ":all:", "--target"])
-            .args([beside.as_os_str(), PACKAGE.as_ref()])
-            .output();
-        let said = match installed {
-            Ok(output) if output.status.success() => {
-                // Another test program may have been faster.
-                let _ = std::fs::rename(&beside, &path);
-                let _ = std::fs::remove_dir_all(&beside);
-                return Some(path);
-            }
-            Ok(output) => String::from_utf8_lossy(&output.stderr).into_owned(),
-            Err(error) => error.to_string(),
-        };
-        // Not by a macro: the test harness would show that of failed tests only.
-        let what =
-            format!("SKIPPED: Embree 4 is not tested, for {PACKAGE} cannot be installed: {}\n", said.trim());
-        let _ = std::io::stderr().write_all(what.as_bytes());
-        None
-    });
-    found.as_deref()
-}
 
 /// The program of `preload_support/host.cpp` as one of Embree 4.
 fn host(package: &Path) -> (tempfile::TempDir, PathBuf) {
-    let libraries = package.join("embreex.libs");
-    let library = std::fs::read_dir(&libraries)
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .find(|path| path.file_name().unwrap().to_string_lossy().starts_with("libembree4"))
-        .expect("the package's Embree");
-    let search = format!("-Wl,-rpath,{}", libraries.display());
+    let library = library(package);
+    let search = format!("-Wl,-rpath,{}", library.parent().unwrap().display());
     compiled_host(&[
         "-Iembree-shim",
         "-include",
