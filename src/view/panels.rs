@@ -57,6 +57,16 @@ pub fn sampled(ui: &mut Ui, sampled: &Sampled) {
     ui.weak(text).on_hover_text("The queries that these numbers count");
 }
 
+/// The content of a panel: scrolled where it is too long, and cut where it is too wide. Without that, a panel of fixed width whose content is wider moves
+/// out of the window by as much.
+pub fn scrolled(ui: &mut Ui, contents: impl FnOnce(&mut Ui)) {
+    let area = ui.available_rect_before_wrap();
+    let mut inner = ui.new_child(egui::UiBuilder::new().max_rect(area));
+    inner.shrink_clip_rect(area);
+    egui::ScrollArea::vertical().auto_shrink(false).show(&mut inner, contents);
+    ui.allocate_rect(area, Sense::hover());
+}
+
 /// The list of layers.
 pub fn layers(ui: &mut Ui, shared: &mut Shared) {
     let recorded = shared.opened.recording.is_some();

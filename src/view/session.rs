@@ -117,10 +117,10 @@ impl Session {
         });
         egui::Panel::bottom("status").show(ui, |ui| self.status(ui));
         egui::Panel::left("layers").exact_size(LEFT).show(ui, |ui| {
-            egui::ScrollArea::vertical().show(ui, |ui| panels::layers(ui, &mut self.shared));
+            panels::scrolled(ui, |ui| panels::layers(ui, &mut self.shared));
         });
         egui::Panel::right("mode").exact_size(RIGHT).show(ui, |ui| {
-            egui::ScrollArea::vertical().show(ui, |ui| self.modes.current().panel(ui, &mut self.shared));
+            panels::scrolled(ui, |ui| self.modes.current().panel(ui, &mut self.shared));
         });
     }
 
