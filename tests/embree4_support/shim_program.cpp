@@ -46,7 +46,7 @@ int failed(const ShimError& error) {
 }  // namespace
 
 int main() {
-  const ShimSettings settings{"threads=1", SHIM_QUALITY_MEDIUM, SHIM_SCENE_ROBUST};
+  const ShimSettings settings{"threads=1", SHIM_QUALITY_MEDIUM, SHIM_SCENE_ROBUST, SHIM_COMMIT_ONCE};
   const ShimPart parts[] = {{triangle, 1, 3, 1}, {quad, 1, 4, 3}};
   ShimError error{};
   ShimScene* scene = shim_scene_new(&settings, vertices, 7, parts, 2, &error);
