@@ -29,14 +29,14 @@ struct Frame {
 }
 
 /// How a picture is drawn.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {
     /// Opacity of surfaces.
     pub surface: f32,
     /// Nothing nearer than this is drawn of overlays.
     pub near: f32,
-    /// Whether batches are cut to what they allow while the camera moves.
-    pub moving: bool,
+    /// Most shapes of a batch that is thinned.
+    pub most: usize,
 }
 
 /// A pipeline for what is before surfaces, and one for what is behind them.
@@ -66,6 +66,8 @@ pub struct Painter {
     smooth: wgpu::Sampler,
     /// By the address of the batch's shapes.
     kept: HashMap<usize, Kept>,
+    /// Whether anything was drawn since buffers were given up.
+    drawn: bool,
 }
 
 /// The textures of one view.
@@ -165,6 +167,7 @@ impl Painter {
             faces,
             smooth,
             kept: HashMap::new(),
+            drawn: false,
         }
     }
 
@@ -272,7 +275,7 @@ impl Painter {
             .iter()
             .filter_map(|batch| {
                 let (key, count) = self.keep(batch)?;
-                let most = if look.moving { batch.moving } else { usize::MAX };
+                let most = if batch.thinned { look.most } else { usize::MAX };
                 Some((key, count.min(most) as u32, batch))
             })
             .collect();
@@ -324,6 +327,7 @@ impl Painter {
         }
         drop(pass);
         self.queue.submit([encoder.finish()]);
+        self.drawn = true;
     }
 
     /// The buffers of a batch, made or found again, and the number of its shapes; `None` when it has none.
@@ -368,9 +372,11 @@ impl Painter {
         Some((key, count.min(bytes.len() / shape)))
     }
 
-    /// Gives up the buffers of batches that no canvas has drawn since the last call.
+    /// Gives up the buffers of batches that no canvas has drawn since the last call, if any has drawn anything.
     pub fn forget(&mut self) {
-        self.kept.retain(|_, kept| std::mem::take(&mut kept.used));
+        if std::mem::take(&mut self.drawn) {
+            self.kept.retain(|_, kept| std::mem::take(&mut kept.used));
+        }
     }
 }
 

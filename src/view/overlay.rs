@@ -42,8 +42,23 @@ pub enum Shapes {
     Faces(Arc<Vec<Corner>>),
 }
 
+impl PartialEq for Shapes {
+    /// Shapes that are kept are the same at a glance.
+    fn eq(&self, other: &Shapes) -> bool {
+        fn same<T: PartialEq>(a: &Arc<Vec<T>>, b: &Arc<Vec<T>>) -> bool {
+            Arc::ptr_eq(a, b) || a == b
+        }
+        match (self, other) {
+            (Shapes::Lines(a), Shapes::Lines(b)) => same(a, b),
+            (Shapes::Points(a), Shapes::Points(b)) => same(a, b),
+            (Shapes::Faces(a), Shapes::Faces(b)) => same(a, b),
+            _ => false,
+        }
+    }
+}
+
 /// Shapes that are drawn alike.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Batch {
     pub shapes: Shapes,
     /// 0 to 1, times that of each shape's colour.
@@ -52,19 +67,19 @@ pub struct Batch {
     pub behind: f32,
     /// Times the widths of lines and the sizes of points.
     pub scale: f32,
-    /// Only so many of the shapes are drawn while the camera moves.
-    pub moving: usize,
+    /// Whether fewer of the shapes are drawn while the camera moves.
+    pub thinned: bool,
 }
 
 /// Everything that is drawn over one picture, in this order.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Overlay {
     pub batches: Vec<Batch>,
 }
 
 impl Overlay {
     pub fn push(&mut self, shapes: Shapes, opacity: f32, behind: f32) {
-        self.batches.push(Batch { shapes, opacity, behind, scale: 1.0, moving: usize::MAX });
+        self.batches.push(Batch { shapes, opacity, behind, scale: 1.0, thinned: false });
     }
 
     /// The twelve edges of boxes.

@@ -55,6 +55,8 @@ pub struct Pane {
     /// Pixels of the pane per pixel of the picture.
     coarseness: u32,
     changed: Option<Instant>,
+    /// Whether it was in the last frame that it changed, however long ago that was.
+    just_changed: bool,
     refining: Option<Work<Refined>>,
     rounds: u32,
     /// Camera rays per second, as last measured.
@@ -81,6 +83,11 @@ impl Pane {
         self.changed.is_some_and(|changed| changed.elapsed() < REST)
     }
 
+    /// Whether what it looks at changed in the last frame.
+    pub fn has_just_changed(&self) -> bool {
+        self.just_changed
+    }
+
     /// Whether the picture is as good as it gets.
     pub fn is_finished(&self) -> bool {
         self.rounds >= ROUNDS
@@ -93,7 +100,8 @@ impl Pane {
 
     /// Brings the picture up to date with `subject`.
     pub fn show(&mut self, subject: Subject, wake: &Wake) -> Progressed {
-        if self.subject.as_ref() != Some(&subject) {
+        self.just_changed = self.subject.as_ref() != Some(&subject);
+        if self.just_changed {
             self.refining = None;
             self.rounds = 0;
             self.cast_at_once(&subject);

@@ -19,8 +19,6 @@ use std::sync::Arc;
 
 /// Records that are looked at for rays to draw.
 const LOOKED_AT: u64 = 1_000_000;
-/// Shapes that are drawn while the camera moves.
-const MOVING: usize = 6_000;
 
 /// What decides which rays are drawn.
 #[derive(Clone, Debug, PartialEq)]
@@ -121,7 +119,7 @@ impl Rays {
     pub fn overlay(&self, layer: &RayLayer, overlay: &mut Overlay) {
         let Some(drawn) = self.drawn() else { return };
         let mut batch = |shapes, opacity, scale| {
-            overlay.batches.push(Batch { shapes, opacity, behind: layer.behind, scale, moving: MOVING });
+            overlay.batches.push(Batch { shapes, opacity, behind: layer.behind, scale, thinned: true });
         };
         if layer.visible {
             batch(Shapes::Lines(drawn.lines.clone()), layer.opacity, layer.width);

@@ -3,11 +3,12 @@
 use super::gpu::{Canvas, Look, Painter};
 use super::modes::{Input, ModeName, Modes};
 use super::overlay::Overlay;
+use super::pace::Pace;
 use super::pane::{Pane, Subject};
 use super::panels;
 use super::shared::{Legend, Shared, Spot};
 use crate::geometry::Vec3;
-use crate::render::camera::Camera;
+use crate::render::camera::{Camera, View};
 use eframe::egui::{self, Event, Key, Modifiers, PointerButton, Rect, Response, RichText, Sense, Ui, vec2};
 use eframe::egui_wgpu::{RenderState, wgpu};
 use std::time::Instant;
@@ -27,6 +28,8 @@ struct Frame {
     pane: Pane,
     canvas: Canvas,
     texture: egui::TextureId,
+    /// What is on the canvas beside the picture.
+    drawn: Option<(View, Overlay, Look)>,
 }
 
 /// Everything in the window.
@@ -39,6 +42,7 @@ pub struct Session {
     painter: Painter,
     target: RenderState,
     frames: Vec<Frame>,
+    pace: Pace,
     flown: Option<Instant>,
 }
 
@@ -53,7 +57,7 @@ impl Session {
                     &canvas.view(),
                     wgpu::FilterMode::Linear,
                 );
-                Frame { pane: Pane::default(), canvas, texture }
+                Frame { pane: Pane::default(), canvas, texture, drawn: None }
             })
             .collect();
         Session {
@@ -64,6 +68,7 @@ impl Session {
             painter,
             target: target.clone(),
             frames,
+            pace: Pace::default(),
             flown: None,
         }
     }
@@ -82,6 +87,8 @@ impl Session {
     /// The whole window.
     pub fn ui(&mut self, ui: &mut Ui) {
         self.shared.update();
+        let moving = self.frames.iter().any(|frame| frame.pane.has_just_changed());
+        self.pace.frame(moving, Instant::now());
         let mut input = Input::default();
         self.keys(ui, &mut input);
         if self.panels {
@@ -218,6 +225,7 @@ impl Session {
         let frame = &mut self.frames[number];
         if frame.canvas.size() != size {
             frame.canvas = self.painter.canvas(size);
+            frame.drawn = None;
             self.target.renderer.write().update_egui_texture_from_wgpu_texture(
                 &self.target.device,
                 &frame.canvas.view(),
@@ -247,10 +255,15 @@ impl Session {
         let look = Look {
             surface: if surfaces.visible { surfaces.opacity } else { 0.0 },
             near: NEAR * self.shared.opened.size(),
-            moving: frame.pane.is_moving(),
+            most: if frame.pane.is_moving() { self.pace.shapes() } else { usize::MAX },
         };
-        if let Ok(camera) = Camera::new(&view, size[0], size[1]) {
-            self.painter.draw(&frame.canvas, &camera, &overlay, &look);
+        // A window that only answers the mouse does not draw the scene again: in software that takes its time.
+        let drawn = Some((view, overlay, look));
+        if (progressed.new || frame.drawn != drawn)
+            && let (Ok(camera), Some((_, overlay, _))) = (Camera::new(&view, size[0], size[1]), &drawn)
+        {
+            self.painter.draw(&frame.canvas, &camera, overlay, &look);
+            frame.drawn = drawn;
         }
         let whole = Rect::from_min_max(egui::pos2(0.0, 0.0), egui::pos2(1.0, 1.0));
         ui.painter().image(frame.texture, rect, whole, egui::Color32::WHITE);

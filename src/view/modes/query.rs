@@ -226,11 +226,7 @@ impl QueryMode {
                 ("step", format!("{} of {}", here + 1, last + 1), ""),
                 ("box tests so far", count(step.box_tests), ""),
                 ("primitive tests so far", count(step.primitive_tests), ""),
-                (
-                    "interval ends at",
-                    format!("{:.4}", step.end),
-                    "The best hit so far, else the end of the ray",
-                ),
+                ("interval ends at", distance(step.end), "The best hit so far, else the end of the ray"),
             ],
         );
         let first = here.saturating_sub(ROWS / 2).min((last + 1).saturating_sub(ROWS));
