@@ -23,6 +23,7 @@ pub mod pace;
 pub mod paint;
 pub mod pane;
 pub mod panels;
+pub mod pixels;
 pub mod rays;
 pub mod results;
 pub mod session;

@@ -131,7 +131,7 @@ struct Arguments {
     html: Option<PathBuf>,
 
     /// Size of the traced image, where the trees do not say; one per recording, or one for all
-    #[arg(long, value_name = "WxH", value_parser = image_size, value_delimiter = ',')]
+    #[arg(long, value_name = "WxH", value_delimiter = ',')]
     size: Vec<ImageSize>,
 }
 
@@ -154,12 +154,6 @@ fn share(text: &str) -> Result<f64, String> {
         Ok(share) if share > 0.0 && share < 1.0 => Ok(share),
         _ => Err("expected a number between 0 and 1".to_owned()),
     }
-}
-
-fn image_size(text: &str) -> Result<ImageSize, String> {
-    let (width, height) = text.split_once(['x', 'X']).ok_or("expected WIDTHxHEIGHT, such as 640x480")?;
-    let number = |text: &str| text.parse().map_err(|_| format!("\"{text}\" is not a number of pixels"));
-    ImageSize::new(number(width)?, number(height)?).map_err(|error| error.to_string())
 }
 
 fn main() -> ExitCode {

@@ -3,8 +3,9 @@
 use clap::Parser;
 use embree_trace::cli::{self, Failure, Outcome, TextOrJson};
 use embree_trace::files::OutputFile;
+use embree_trace::replay::pixels::ImageSize;
 use embree_trace::traverse::Traversal;
-use embree_trace::view::layers::{RayColor, SurfaceColor};
+use embree_trace::view::layers::{PixelColor, RayColor, SurfaceColor};
 use embree_trace::view::modes::ModeName;
 use embree_trace::view::modes::crossplane::{Facing, Shown};
 use embree_trace::view::modes::query::Wanted;
@@ -29,6 +30,7 @@ Examples:
   bvh-view built.bvh ours.bvh casts.rays
   bvh-view built.bvh casts.rays --mode explore --node 17 --boxes level:3
   bvh-view built.bvh casts.rays --screenshot view.png --size 1280x800 --mode explore --color cost
+  bvh-view built.bvh ours.bvh casts.rays --pixels difference
   bvh-view built.bvh casts.rays --mode crossplane --plane y:0.3 --plane-shows traffic
   bvh-view built.bvh casts.rays --mode query --pixel 320,240
   bvh-view built.bvh --screenshot view.png --view 4,2,9/0,1,0 --no-panels
@@ -97,6 +99,14 @@ struct Arguments {
     #[arg(long, value_enum, value_name = "WHAT")]
     ray_color: Option<RayColor>,
 
+    /// Show the recorded image as a heat map of its pixels
+    #[arg(long, value_enum, value_name = "WHAT")]
+    pixels: Option<PixelColor>,
+
+    /// Size of the recorded image, where the trees do not say
+    #[arg(long, value_name = "WxH")]
+    image: Option<ImageSize>,
+
     /// Where the plane of mode crossplane stands: x, y, z or camera, and a place from 0 to 1, such as y:0.3
     #[arg(long, value_name = "PLANE", value_parser = parse_plane)]
     plane: Option<(Facing, f32)>,
@@ -157,6 +167,8 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         ray_color: arguments.ray_color,
         rays: arguments.rays,
         points: arguments.points,
+        pixels: arguments.pixels,
+        image: arguments.image,
         plane: arguments.plane,
         shows: arguments.plane_shows,
         query: arguments.query.map(Wanted::Number),

@@ -2,6 +2,7 @@
 
 use super::tally::Costs;
 use crate::traverse::Counts;
+use std::str::FromStr;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use thiserror::Error;
 
@@ -34,6 +35,17 @@ impl ImageSize {
     pub fn pixel(self, path: u32) -> Option<(u32, u32)> {
         let (x, y) = (path % self.width, path / self.width);
         (y < self.height).then_some((x, y))
+    }
+}
+
+impl FromStr for ImageSize {
+    type Err = String;
+
+    /// `WIDTHxHEIGHT`, as on command lines.
+    fn from_str(text: &str) -> Result<ImageSize, String> {
+        let (width, height) = text.split_once(['x', 'X']).ok_or("expected WIDTHxHEIGHT, such as 640x480")?;
+        let number = |text: &str| text.parse().map_err(|_| format!("\"{text}\" is not a number of pixels"));
+        ImageSize::new(number(width)?, number(height)?).map_err(|error| error.to_string())
     }
 }
 

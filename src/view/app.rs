@@ -38,8 +38,9 @@ impl Viewer {
         style(context);
         let repaint = context.clone();
         let wake: Wake = Arc::new(move || repaint.request_repaint());
+        let image = wishes.image;
         let work = Work::start(&wake, move |stop, give| {
-            let opened = Opened::open(&paths, &|stage| give(News::Stage(stage)));
+            let opened = Opened::open(&paths, image, &|stage| give(News::Stage(stage)));
             match opened {
                 Err(error) => give(News::Failed(error.to_string())),
                 Ok(opened) => {
@@ -67,11 +68,18 @@ impl Viewer {
                     ui.label(stage);
                 });
             }
-            State::Failed(error) => notice(ui, |ui| {
-                ui.heading("This cannot be shown");
-                ui.add_space(8.0);
-                ui.label(RichText::new(&*error).color(ui.visuals().error_fg_color));
-            }),
+            State::Failed(error) => {
+                notice(ui, |ui| {
+                    ui.heading("This cannot be shown");
+                    ui.add_space(8.0);
+                    ui.label(RichText::new(&*error).color(ui.visuals().error_fg_color));
+                    ui.add_space(8.0);
+                    ui.weak("Esc closes the window");
+                });
+                if ui.input(|input| input.key_pressed(egui::Key::Escape)) {
+                    ui.ctx().send_viewport_cmd(egui::ViewportCommand::Close);
+                }
+            }
         }
     }
 

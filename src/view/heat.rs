@@ -87,7 +87,7 @@ pub fn triangles(
 }
 
 /// Colours by how much more of all cost a triangle has in the first tree (orange) than in the second (blue).
-pub fn differences([first, second]: [(&Walk, &Shares); 2]) -> Option<(Vec<Rgba>, Legend)> {
+pub fn differences([first, second]: [(&Walk, &Shares); 2]) -> (Vec<Rgba>, Legend) {
     let parts = [first, second].map(|(walk, shares)| {
         let mut costs = per_triangle(walk, shares);
         let total: f64 = costs.iter().sum::<f64>().max(f64::MIN_POSITIVE);
@@ -95,17 +95,22 @@ pub fn differences([first, second]: [(&Walk, &Shares); 2]) -> Option<(Vec<Rgba>,
         costs
     });
     let differences: Vec<f64> = parts[0].iter().zip(&parts[1]).map(|(a, b)| a - b).collect();
-    let sizes: Vec<f64> = differences.iter().map(|value| value.abs()).collect();
-    let high = quantile(&sizes, 0.99)?;
-    // Differences of small triangles are small, and to be seen all the same.
-    let strength = |value: f64| value.signum() * (value.abs() / high).min(1.0).sqrt();
-    let colors = differences.iter().map(|&value| difference(strength(value))).collect();
+    let (_, colors) = differences_of(&differences);
     let legend = Legend::Difference {
         title: "part of the cost: which tree's is larger".to_owned(),
         low: "right tree".to_owned(),
         high: "left tree".to_owned(),
     };
-    Some((colors, legend))
+    (colors, legend)
+}
+
+/// Colours of differences from blue (below 0) over white to orange, and the size from which they are as strong as can be.
+pub fn differences_of(differences: &[f64]) -> (f64, Vec<Rgba>) {
+    let sizes: Vec<f64> = differences.iter().map(|value| value.abs()).collect();
+    let high = quantile(&sizes, 0.99).unwrap_or(1.0);
+    // Small ones are to be seen all the same.
+    let strength = |value: f64| value.signum() * (value.abs() / high).min(1.0).sqrt();
+    (high, differences.iter().map(|&value| difference(strength(value))).collect())
 }
 
 #[cfg(test)]

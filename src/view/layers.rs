@@ -135,11 +135,41 @@ pub struct RayLayer {
     pub most: usize,
 }
 
-/// The picture that was recorded, as costs of its pixels.
+/// What colours pixels of the recorded image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, clap::ValueEnum)]
+pub enum PixelColor {
+    /// By what the queries of each pixel cost in the tree
+    #[default]
+    Cost,
+    /// By how much more they cost in the first tree than in the second
+    Difference,
+}
+
+impl PixelColor {
+    pub const ALL: [PixelColor; 2] = [PixelColor::Cost, PixelColor::Difference];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            PixelColor::Cost => "cost per pixel",
+            PixelColor::Difference => "difference of cost",
+        }
+    }
+}
+
+/// The image that was recorded, as costs of its pixels.
 #[derive(Clone, Debug)]
 pub struct PixelLayer {
     pub visible: bool,
+    pub opacity: f32,
+    pub color: PixelColor,
     pub map: ColorMap,
+}
+
+impl PixelLayer {
+    /// Whether both give pixels the same colours.
+    pub fn colors_as(&self, other: &PixelLayer) -> bool {
+        (self.color, self.map) == (other.color, other.map)
+    }
 }
 
 /// All of them.
@@ -183,7 +213,12 @@ impl Default for Layers {
                 every: 1,
                 most: 20_000,
             },
-            pixels: PixelLayer { visible: false, map: ColorMap::Viridis },
+            pixels: PixelLayer {
+                visible: false,
+                opacity: 0.8,
+                color: PixelColor::Cost,
+                map: ColorMap::Viridis,
+            },
         }
     }
 }

@@ -135,11 +135,16 @@ fn mapped(path: &Path) -> Result<&'static MappedFile, LoadError> {
 }
 
 impl Opened {
-    /// Opens one or two trees and perhaps a recording, in any order; tells `stage` what it is doing.
+    /// Opens one or two trees and perhaps a recording, in any order; tells `stage` what it is doing. `image` is the size of the recorded image
+    /// where it is not what a tree says.
     ///
     /// # Errors
     /// When a file cannot be read or is damaged, or files are not of one scene.
-    pub fn open(paths: &[PathBuf], stage: &dyn Fn(String)) -> Result<Opened, LoadError> {
+    pub fn open(
+        paths: &[PathBuf],
+        image: Option<ImageSize>,
+        stage: &dyn Fn(String),
+    ) -> Result<Opened, LoadError> {
         let (mut trees, mut recordings) = (Vec::new(), Vec::new());
         for path in paths {
             stage(format!("reading {}", path.display()));
@@ -174,7 +179,7 @@ impl Opened {
                     warnings
                         .push(format!("recording cut off: {queries} queries recovered, {lost} bytes lost"));
                 }
-                let image = trees.iter().find_map(|tree| image_size(&tree.bvh));
+                let image = image.or_else(|| trees.iter().find_map(|tree| image_size(&tree.bvh)));
                 let view = image.and_then(|image| recorded_view(&rays, image));
                 Some(Arc::new(Recording { path: path.to_path_buf(), rays, image, view }))
             }

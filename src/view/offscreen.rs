@@ -31,6 +31,18 @@ pub enum OffscreenError {
     Patience(Duration),
 }
 
+/// A graphics device that needs no display.
+fn device(backends: wgpu::Backends) -> Result<RenderState, WgpuError> {
+    let mut setup = WgpuSetupCreateNew::without_display_handle();
+    setup.instance_descriptor.backends = backends;
+    let setup = WgpuSetup::CreateNew(setup);
+    let configuration = WgpuConfiguration { wgpu_setup: setup.clone(), ..Default::default() };
+    pollster::block_on(async {
+        let instance = setup.new_instance().await;
+        RenderState::create(&configuration, &instance, None, RendererOptions::PREDICTABLE).await
+    })
+}
+
 /// A viewer whose window exists in memory only.
 pub struct Offscreen {
     pub viewer: Viewer,
@@ -48,12 +60,8 @@ impl Offscreen {
     /// When there is no graphics device, not even one in software.
     pub fn new(paths: Vec<PathBuf>, wishes: Wishes, size: [u32; 2]) -> Result<Offscreen, OffscreenError> {
         let size = size.map(|side| side.clamp(1, LONGEST_SIDE));
-        let setup = WgpuSetup::CreateNew(WgpuSetupCreateNew::without_display_handle());
-        let configuration = WgpuConfiguration { wgpu_setup: setup.clone(), ..Default::default() };
-        let target = pollster::block_on(async {
-            let instance = setup.new_instance().await;
-            RenderState::create(&configuration, &instance, None, RendererOptions::PREDICTABLE).await
-        })?;
+        // Vulkan first: drivers of OpenGL look for a display, and complain on the standard error where there is none.
+        let target = device(wgpu::Backends::VULKAN).or_else(|_| device(wgpu::Backends::all()))?;
         let context = egui::Context::default();
         let viewer = Viewer::new(paths, wishes, &target, &context);
         let last = FullOutput::default();

@@ -2,6 +2,7 @@
 
 use super::layers::{BoxLayer, Boxes, RayColor, RayLayer, SurfaceColor, SurfaceLayer};
 use super::paint::{ColorMap, color32, difference};
+use super::pixels;
 use super::shared::{Legend, Shared};
 use crate::explore::queries::Sampled;
 use crate::format::rays::Purpose;
@@ -75,10 +76,18 @@ pub fn layers(ui: &mut Ui, shared: &mut Shared) {
     boxes(ui, &mut shared.layers.boxes, recorded);
     if recorded {
         rays(ui, &mut shared.layers.rays);
+        pixels::settings(ui, shared);
     }
 }
 
-fn section<R>(ui: &mut Ui, visible: &mut bool, name: &str, hint: &str, contents: impl FnOnce(&mut Ui) -> R) {
+/// An entry of the list: whether it is to be seen, and what belongs to it if it is.
+pub fn section<R>(
+    ui: &mut Ui,
+    visible: &mut bool,
+    name: &str,
+    hint: &str,
+    contents: impl FnOnce(&mut Ui) -> R,
+) {
     ui.checkbox(visible, RichText::new(name).strong()).on_hover_text(hint);
     if *visible {
         ui.indent(name, contents);
@@ -86,7 +95,8 @@ fn section<R>(ui: &mut Ui, visible: &mut bool, name: &str, hint: &str, contents:
     ui.add_space(6.0);
 }
 
-fn opacity(ui: &mut Ui, opacity: &mut f32) {
+/// How much of something is drawn.
+pub fn opacity(ui: &mut Ui, opacity: &mut f32) {
     ui.add(egui::Slider::new(opacity, 0.0..=1.0).text("opacity").fixed_decimals(2));
 }
 
@@ -199,7 +209,8 @@ fn rays(ui: &mut Ui, layer: &mut RayLayer) {
 /// What colours mean.
 pub fn legend(ui: &mut Ui, legend: &Legend) {
     let bar = |ui: &mut Ui, low: &str, high: &str, color: &dyn Fn(f64) -> Color32| {
-        let (area, _) = ui.allocate_exact_size(vec2(200.0, 12.0), Sense::hover());
+        let width = ui.available_width().min(200.0);
+        let (area, _) = ui.allocate_exact_size(vec2(width, 12.0), Sense::hover());
         let steps = 50;
         for step in 0..steps {
             let share = (step as f32 + 0.5) / steps as f32;
@@ -208,7 +219,7 @@ pub fn legend(ui: &mut Ui, legend: &Legend) {
             cell.set_right(area.left() + area.width() * (step + 1) as f32 / steps as f32);
             ui.painter().rect_filled(cell, 0.0, color(share.into()));
         }
-        ui.allocate_ui(vec2(200.0, 14.0), |ui| {
+        ui.allocate_ui(vec2(width, 14.0), |ui| {
             ui.horizontal(|ui| {
                 ui.small(low);
                 ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| ui.small(high));

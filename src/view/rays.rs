@@ -17,8 +17,8 @@ use crate::replay::select::Filter;
 use crate::traverse::Traversal;
 use std::sync::Arc;
 
-/// Records that are looked at for rays to draw.
-const LOOKED_AT: u64 = 1_000_000;
+/// Records that are looked at for rays to draw; where few of them are wanted, up to so many.
+const LOOKED_AT: [u64; 3] = [1 << 20, 1 << 23, 1 << 26];
 
 /// What decides which rays are drawn.
 #[derive(Clone, Debug, PartialEq)]
@@ -92,13 +92,22 @@ impl Rays {
         self.latest.ask(&question, steps, wake, move |progress| {
             let filter: Filter = asked.filter.parse().map_err(|error| format!("{error}"))?;
             let choice = Choice { scene: 0, filter, held_out: None, sample: None };
-            let source = Source { rays: &recording.rays, choice, limit: LOOKED_AT };
             let cost = asked.traversal.map(|(_, traversal)| {
                 let asked = Asked { prepared: &tree.prepared, traversal, order: &tree.order };
                 (asked, COSTS, 0.0..=f64::INFINITY)
             });
             let wanted = Wanted { hit: asked.hit, cost, every: asked.every, most: asked.most };
-            let found = segments(&source, &wanted, &bounds, progress).map_err(|error| error.to_string())?;
+            let mut found = None;
+            for limit in LOOKED_AT {
+                let source = Source { rays: &recording.rays, choice: choice.clone(), limit };
+                let now = segments(&source, &wanted, &bounds, progress).map_err(|error| error.to_string())?;
+                let enough = now.list.len() >= asked.most || now.sampled.is_all() || progress.is_stopped();
+                found = Some(now);
+                if enough {
+                    break;
+                }
+            }
+            let found = found.ok_or("no rays were looked for")?;
             Ok(drawn(found.list, found.matched, found.sampled, asked.color))
         });
     }

@@ -6,6 +6,7 @@ use super::overlay::Overlay;
 use super::pace::Pace;
 use super::pane::{Pane, Subject};
 use super::panels;
+use super::pixels;
 use super::shared::{Legend, Shared, Spot};
 use crate::geometry::Vec3;
 use crate::render::camera::{Camera, View};
@@ -210,6 +211,7 @@ impl Session {
             let drawn = self.shared.rays.drawn().filter(|_| layer.visible || layer.points);
             legends.extend(drawn.map(|drawn| drawn.legend.clone()));
             legends.extend(self.modes.current().legend(number));
+            legends.extend(pixels::show(ui, &mut self.shared, number, rect));
             self.captions(ui, number, rect, &legends);
         }
         self.painter.forget();
@@ -297,8 +299,9 @@ impl Session {
                 _ => 2.5,
             };
             let height = 22.0 * rows + 10.0;
+            let width = (rect.width() - 16.0).min(250.0);
             let place =
-                Rect::from_min_size(egui::pos2(rect.left() + 8.0, bottom - height), vec2(250.0, height));
+                Rect::from_min_size(egui::pos2(rect.left() + 8.0, bottom - height), vec2(width, height));
             boxed(ui, place, &mut |ui| panels::legend(ui, legend));
             bottom -= height + 8.0;
         }

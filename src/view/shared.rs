@@ -6,6 +6,7 @@ use super::load::{OpenTree, Opened};
 use super::navigate::Navigator;
 use super::overlay::Overlay;
 use super::paint::{self, Paint, Rgba};
+use super::pixels::Pixels;
 use super::rays::Rays;
 use super::results::Results;
 use super::work::Wake;
@@ -75,6 +76,7 @@ pub struct Shared {
     pub traversal: Traversal,
     pub results: Vec<Results>,
     pub rays: Rays,
+    pub pixels: Pixels,
     pub hovered: Option<Spot>,
     /// Width by height of a picture.
     pub aspect: f32,
@@ -95,6 +97,7 @@ impl Shared {
             traversal: Traversal::Odf,
             results: (0..trees).map(|_| Results::default()).collect(),
             rays: Rays::default(),
+            pixels: Pixels::default(),
             hovered: None,
             aspect: 1.0,
             note: None,
@@ -135,11 +138,23 @@ impl Shared {
             let (bounds, traversal) = (self.opened.bounds, self.traversal);
             self.rays.update(&self.layers.rays, tree, recording, traversal, bounds, &self.wake);
         }
+        if self.layers.pixels.visible {
+            (0..self.opened.trees.len()).for_each(|tree| self.ask_pixels(tree));
+        }
+    }
+
+    /// Has the costs of the recorded image's pixels counted over a tree.
+    pub fn ask_pixels(&mut self, tree: usize) {
+        if let Some(recording) = &self.opened.recording {
+            self.pixels.ask(tree, self.opened.tree(tree), recording, self.traversal, &self.wake);
+        }
     }
 
     /// Whether anything is being counted.
     pub fn is_counting(&self) -> bool {
-        self.rays.is_busy() || self.results.iter().any(|results| results.fraction().is_some())
+        self.rays.is_busy()
+            || self.pixels.is_busy()
+            || self.results.iter().any(|results| results.fraction().is_some())
     }
 
     /// How surfaces look in a pane, and what their colours mean.
@@ -194,7 +209,7 @@ impl Shared {
             Some((&self.opened.trees.get(tree)?.walk, &**self.results.get(tree)?.shares.as_ref()?))
         };
         let (colors, legend) = if surfaces.color == SurfaceColor::Difference {
-            heat::differences([counted(0)?, counted(1)?])?
+            heat::differences([counted(0)?, counted(1)?])
         } else {
             let (walk, shares) = counted(pane)?;
             heat::triangles(surfaces.color, walk, shares, surfaces.map)?

@@ -1,12 +1,13 @@
 //! What a user asked for on the command line, put into effect once the files are open: the same for a window and for a screenshot.
 
-use super::layers::{Boxes, RayColor, SurfaceColor};
+use super::layers::{Boxes, PixelColor, RayColor, SurfaceColor};
 use super::modes::ModeName;
 use super::modes::crossplane::{Facing, Shown as PlaneShows};
 use super::modes::query::Wanted;
 use super::session::Session;
 use super::shared::Shared;
 use crate::render::camera::{Camera, CameraError, View, parse_view};
+use crate::replay::pixels::ImageSize;
 use crate::traverse::Traversal;
 use clap::ValueEnum;
 use std::str::FromStr;
@@ -56,6 +57,10 @@ pub struct Wishes {
     pub rays: Option<usize>,
     /// Most hit points.
     pub points: Option<usize>,
+    /// The recorded image as a heat map.
+    pub pixels: Option<PixelColor>,
+    /// Its size, where the trees do not say it.
+    pub image: Option<ImageSize>,
     /// The way the plane stands, and where.
     pub plane: Option<(Facing, f32)>,
     /// What the plane shows.
@@ -76,8 +81,10 @@ pub enum WishError {
     Node { node: u32, last: usize },
     #[error("--{0} needs a recording (.rays)")]
     NoRecording(&'static str),
-    #[error("--pixel: no tree says how large the recorded image is")]
-    NoImage,
+    #[error("--{0}: no tree says how large the recorded image is: add --image WxH")]
+    NoImage(&'static str),
+    #[error("--pixels difference: expected two trees")]
+    OneTree,
     #[error("--pixel {x},{y}: the recorded image has {width} x {height} pixels")]
     Pixel { x: u32, y: u32, width: u32, height: u32 },
 }
@@ -126,6 +133,16 @@ impl Wishes {
         if let Some(most) = self.points {
             (layers.rays.points, layers.rays.most) = (true, most);
         }
+        if let Some(color) = self.pixels {
+            let recording = shared.opened.recording.as_ref().ok_or(WishError::NoRecording("pixels"))?;
+            if recording.image.is_none() {
+                return Err(WishError::NoImage("pixels"));
+            }
+            if color == PixelColor::Difference && shared.opened.trees.len() < 2 {
+                return Err(WishError::OneTree);
+            }
+            (layers.pixels.visible, layers.pixels.color) = (true, color);
+        }
         let plane = &mut session.modes.crossplane;
         (plane.facing, plane.place) = self.plane.unwrap_or((plane.facing, plane.place));
         plane.shown = self.shows.unwrap_or(plane.shown);
@@ -143,7 +160,7 @@ impl Wishes {
         let recording = shared.opened.recording.as_ref();
         if let Some([x, y]) = self.pixel {
             let recording = recording.ok_or(WishError::NoRecording("pixel"))?;
-            let image = recording.image.ok_or(WishError::NoImage)?;
+            let image = recording.image.ok_or(WishError::NoImage("pixel"))?;
             if x >= image.width || y >= image.height {
                 return Err(WishError::Pixel { x, y, width: image.width, height: image.height });
             }

@@ -56,6 +56,9 @@ fn bad_input_is_one_line() {
         (vec!["sweep.bvh", "--view", "1,1,1/1,1,1"], "same point"),
         (vec!["sweep.bvh", "--pixel", "1,1"], "needs a recording"),
         (vec!["sweep.bvh", "casts.rays", "--pixel", "48,0"], "48 x 48"),
+        (vec!["sweep.bvh", "--pixels", "cost"], "needs a recording"),
+        (vec!["sweep.bvh", "casts.rays", "--pixels", "difference"], "two trees"),
+        (vec!["sweep.bvh", "casts.rays", "--image", "0x4"], "pixels"),
     ] {
         let arguments = with(&files);
         refused(&room, &arguments.iter().map(String::as_str).collect::<Vec<&str>>(), expected);

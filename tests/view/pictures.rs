@@ -1,9 +1,9 @@
 //! What is in the pictures: against rays cast one by one, against places computed by hand, and against pictures that somebody has looked at.
 
-use crate::room::{Room, references, shown};
+use crate::room::{HOT, HOT_SIDE, PATIENCE, Room, references, shown};
 use embree_trace::geometry::Vec3;
 use embree_trace::render::camera::{Camera, View};
-use embree_trace::view::layers::{RayColor, SurfaceColor};
+use embree_trace::view::layers::{PixelColor, RayColor, SurfaceColor};
 use embree_trace::view::modes::ModeName;
 use embree_trace::view::modes::crossplane::{Facing, Shown};
 use embree_trace::view::modes::query::Wanted;
@@ -87,6 +87,42 @@ fn a_box_stands_where_it_was_computed_by_hand() {
     assert!(column(120).is_empty(), "beside the box");
 }
 
+#[test]
+fn pixels_lie_where_they_were_taken() {
+    let room = Room::new();
+    let wishes = Wishes { pixels: Some(PixelColor::Cost), ..bare() };
+    let mut window = shown(room.paths(&["sweep.bvh", "hot.rays"]), wishes, [480, 480]);
+    window.viewer.session().expect("files are open").shared.layers.pixels.opacity = 1.0;
+    window.frame(Vec::new());
+    let image = window.picture().expect("a picture");
+    // Each pixel of the image is a square of ten pixels; those that cost most have the brightest colour of the map, and no others.
+    let top = |x: u32, y: u32| {
+        let [red, green, blue, _] = image.get_pixel(x, y).0;
+        red > 245 && (220..240).contains(&green) && blue < 60
+    };
+    let [left, upper] = HOT.map(|place| 10 * place);
+    let side = 10 * HOT_SIDE;
+    // Above the legend; edges may be off by a pixel.
+    for (x, y) in (0..380).flat_map(|y| (0..480).map(move |x| (x, y))) {
+        let within = |margin: i64| {
+            [(x, left), (y, upper)].into_iter().all(|(place, start)| {
+                let (place, start) = (i64::from(place), i64::from(start));
+                (start + margin..start + i64::from(side) - margin).contains(&place)
+            })
+        };
+        assert!(!within(1) || top(x, y), "{x}, {y}: {:?}", image.get_pixel(x, y));
+        assert!(within(-1) || !top(x, y), "{x}, {y}: {:?}", image.get_pixel(x, y));
+    }
+    // From another place it stands in the corner, and leaves the middle alone.
+    window.viewer.session().expect("files are open").shared.camera.view.eye.x += 0.5;
+    window.settle(PATIENCE).expect("a picture");
+    let image = window.picture().expect("a picture");
+    let corner = [left, upper].map(|place| f64::from(place + side / 2) * 0.32);
+    let (x, y) = (480.0 - 10.0 - 0.32 * 480.0 + corner[0], 10.0 + corner[1]);
+    let [red, green, blue, _] = image.get_pixel(x as u32, y as u32).0;
+    assert!(red > 230 && green > 210 && blue < 80, "{red} {green} {blue}");
+}
+
 /// Compares a window with the picture that is kept of it. Where `BLESS` is set in the environment, it is kept instead.
 fn compare(name: &str, files: &[&str], wishes: Wishes) {
     let room = Room::new();
@@ -143,6 +179,12 @@ fn mode_query() {
     let wishes =
         Wishes { mode: ModeName::Query, query: Some(Wanted::Number(3000)), step: 6, ..Wishes::default() };
     compare("query", &["sweep.bvh", "casts.rays"], wishes);
+}
+
+#[test]
+fn pixels_of_two_trees() {
+    let wishes = Wishes { pixels: Some(PixelColor::Difference), ..Wishes::default() };
+    compare("pixels", &["sweep.bvh", "binned.bvh", "casts.rays"], wishes);
 }
 
 #[test]

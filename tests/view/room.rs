@@ -18,6 +18,10 @@ use std::time::Duration;
 /// Of the recorded image.
 pub const IMAGE: [u32; 2] = [48, 48];
 
+/// Corner and side of a square of pixels that cost more than others in `hot.rays`.
+pub const HOT: [u32; 2] = [31, 12];
+pub const HOT_SIDE: u32 = 4;
+
 /// Longer than any picture here takes, on the slowest machine.
 pub const PATIENCE: Duration = Duration::from_secs(300);
 
@@ -43,7 +47,8 @@ impl Room {
         let room = Room { directory: tempfile::tempdir().expect("a directory"), triangles };
         room.tree("sweep.bvh", Splits::Sweep);
         room.tree("binned.bvh", Splits::Binned { bins: Bins::Fixed(4) });
-        room.write("casts.rays", &room.recording());
+        room.write("casts.rays", &room.recording(0));
+        room.write("hot.rays", &room.recording(50));
         room
     }
 
@@ -96,7 +101,8 @@ impl Room {
         hits.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    fn recording(&self) -> Vec<u8> {
+    /// The recording; camera queries in the square at [`HOT`] come `again` so many times.
+    fn recording(&self, again: usize) -> Vec<u8> {
         let [width, height] = IMAGE;
         let camera = Camera::new(&view(), width, height).expect("a camera");
         let light = Vec3::new(2.75, 5.4, 2.75);
@@ -118,6 +124,12 @@ impl Room {
             let bounce = Ray { origin, tnear: 0.0, direction, tfar: f32::INFINITY };
             records.push(record(&bounce, self.nearest(&bounce), Purpose::Diffuse, path, 1));
         }
+        let near = |place: u32, corner: u32| (corner..corner + HOT_SIDE).contains(&place);
+        let is_hot = |record: &&Record| {
+            near(record.path % width, HOT[0]) && near(record.path / width, HOT[1]) && record.depth == 0
+        };
+        let hot: Vec<Record> = records.iter().filter(is_hot).copied().collect();
+        (0..again).for_each(|_| records.extend(&hot));
         let header = Header {
             fingerprint: fingerprint(&self.triangles),
             embree_version: 0,

@@ -73,26 +73,58 @@ impl Display {
     }
 }
 
-#[test]
-fn keys_and_mouse_change_a_real_window() {
-    let room = Room::new();
-    let display = Display::start(room.directory.path());
+/// Opens files in a window that keys go to: nobody manages windows here, so it has to be told.
+fn open(room: &Room, display: &Display, files: &[&str], changed: usize) -> (Running, Vec<u8>) {
     let empty = display.picture();
-    let _viewer = Running(
+    let viewer = Running(
         Command::new(env!("CARGO_BIN_EXE_bvh-view"))
-            .args(["sweep.bvh", "casts.rays", "--size", "880x560"])
+            .args(files)
+            .args(["--size", "880x560"])
             .current_dir(room.directory.path())
             .env("DISPLAY", &display.number)
             .env("XDG_RUNTIME_DIR", room.directory.path())
             .env_remove("WAYLAND_DISPLAY")
             .stdout(Stdio::null())
-            .stderr(Stdio::null())
+            .stderr(Stdio::piped())
             .spawn()
             .expect("running bvh-view"),
     );
-    let start = display.changed(&empty, 100_000, "the window");
-    // Nobody manages windows here: it has to be told that keys are for it. The mouse: somewhere in the picture, between the panels.
+    let start = display.changed(&empty, changed, "the window");
     display.tell(&["search", "--sync", "--name", "bvh-view", "windowfocus"]);
+    (viewer, start)
+}
+
+#[test]
+fn a_bad_file_is_told_in_the_window_and_after_it() {
+    let room = Room::new();
+    room.write("broken.bvh", b"\x89BVH\r\n\x1a\nand no more");
+    let display = Display::start(room.directory.path());
+    let (mut viewer, _) = open(&room, &display, &["broken.bvh"], 2_000);
+    // A window that is still empty does not listen: again and again.
+    let started = Instant::now();
+    let status = loop {
+        let pressed =
+            Command::new("xdotool").args(["key", "Escape"]).env("DISPLAY", &display.number).status();
+        assert!(pressed.is_ok() && started.elapsed() < PATIENCE, "the window does not close");
+        std::thread::sleep(Duration::from_millis(300));
+        if let Some(status) = viewer.0.try_wait().expect("its state") {
+            break status;
+        }
+    };
+    let mut said = String::new();
+    let mut errors = viewer.0.stderr.take().expect("a pipe");
+    std::io::Read::read_to_string(&mut errors, &mut said).expect("what it says");
+    assert_eq!(status.code(), Some(2), "{said}");
+    let lines: Vec<&str> = said.lines().filter(|line| line.starts_with("bvh-view: error: ")).collect();
+    assert!(lines.len() == 1 && lines[0].contains("broken.bvh"), "{said}");
+}
+
+#[test]
+fn keys_and_mouse_change_a_real_window() {
+    let room = Room::new();
+    let display = Display::start(room.directory.path());
+    let (_viewer, start) = open(&room, &display, &["sweep.bvh", "casts.rays"], 100_000);
+    // The mouse: somewhere in the picture, between the panels.
     display.tell(&["mousemove", "420", "300"]);
     display.tell(&["key", "2"]);
     let explore = display.changed(&start, 50_000, "mode explore");

@@ -1,7 +1,6 @@
 //! Mode *query*: one query, its traversal step by step, and the whole path that it is a part of.
 
 mod drawing;
-mod pixels;
 
 use super::{Input, Mode};
 use crate::explore::queries::Asked;
@@ -14,11 +13,11 @@ use crate::view::load::OpenTree;
 use crate::view::overlay::Overlay;
 use crate::view::paint::{self, SELECTED, color32};
 use crate::view::panels::{count, facts};
+use crate::view::pixels;
 use crate::view::results::every_query;
 use crate::view::shared::{Shared, Spot};
 use crate::view::work::Latest;
 use eframe::egui::{self, Key, RichText, Ui};
-use pixels::Pixels;
 use std::sync::Arc;
 
 /// Rows of the list of steps, and of what waits.
@@ -45,7 +44,6 @@ pub struct QueryMode {
     /// By tree.
     followed: Vec<Followed>,
     index: Latest<(), PixelIndex>,
-    pixels: Pixels,
     /// To be picked as soon as it can be.
     wanted: Option<Wanted>,
     error: Option<String>,
@@ -163,14 +161,14 @@ impl QueryMode {
         }
     }
 
-    fn ask(&mut self, shared: &Shared) {
+    fn ask(&mut self, shared: &mut Shared) {
+        shared.ask_pixels(shared.active);
         let Some(recording) = &shared.opened.recording else { return };
         let own = recording.clone();
         let steps = recording.rays.query_count();
         self.index.ask(&(), steps, &shared.wake, move |progress| {
             PixelIndex::of(&own.rays, progress).map_err(|error| error.to_string())
         });
-        self.pixels.ask(shared);
     }
 
     /// The path: what was asked for one pixel, bounce after bounce.
@@ -346,7 +344,7 @@ impl Mode for QueryMode {
     fn panel(&mut self, ui: &mut Ui, shared: &mut Shared) {
         if shared.opened.recording.is_some() {
             let current = self.query().map(|query| query.record.path);
-            if let Some(pixel) = self.pixels.ui(ui, shared, current) {
+            if let Some(pixel) = pixels::picker(ui, shared, current) {
                 self.want(Wanted::Pixel(pixel), 0);
             }
             ui.add_space(4.0);
@@ -386,7 +384,7 @@ impl Mode for QueryMode {
     }
 
     fn is_settled(&self) -> bool {
-        self.wanted.is_none() && self.index.fraction().is_none() && self.pixels.is_settled()
+        self.wanted.is_none() && self.index.fraction().is_none()
     }
 }
 
