@@ -152,6 +152,11 @@ fn pixel(text: &str) -> Result<[u32; 2], String> {
 
 fn main() -> ExitCode {
     let arguments: Arguments = cli::parse(PROGRAM, std::env::args_os());
+    if arguments.screenshot.is_some() || arguments.frames.is_some() {
+        // Mesa's layer that chooses among graphics cards asks the desktop which one it uses, and complains where there is none.
+        // SAFETY: no other thread is there yet that could read the environment.
+        unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
+    }
     cli::run(PROGRAM, || run(&arguments))
 }
 

@@ -31,18 +31,6 @@ pub enum OffscreenError {
     Patience(Duration),
 }
 
-/// A graphics device that needs no display.
-fn device(backends: wgpu::Backends) -> Result<RenderState, WgpuError> {
-    let mut setup = WgpuSetupCreateNew::without_display_handle();
-    setup.instance_descriptor.backends = backends;
-    let setup = WgpuSetup::CreateNew(setup);
-    let configuration = WgpuConfiguration { wgpu_setup: setup.clone(), ..Default::default() };
-    pollster::block_on(async {
-        let instance = setup.new_instance().await;
-        RenderState::create(&configuration, &instance, None, RendererOptions::PREDICTABLE).await
-    })
-}
-
 /// A viewer whose window exists in memory only.
 pub struct Offscreen {
     pub viewer: Viewer,
@@ -60,8 +48,12 @@ impl Offscreen {
     /// When there is no graphics device, not even one in software.
     pub fn new(paths: Vec<PathBuf>, wishes: Wishes, size: [u32; 2]) -> Result<Offscreen, OffscreenError> {
         let size = size.map(|side| side.clamp(1, LONGEST_SIDE));
-        // Vulkan first: drivers of OpenGL look for a display, and complain on the standard error where there is none.
-        let target = device(wgpu::Backends::VULKAN).or_else(|_| device(wgpu::Backends::all()))?;
+        let setup = WgpuSetup::CreateNew(WgpuSetupCreateNew::without_display_handle());
+        let configuration = WgpuConfiguration { wgpu_setup: setup.clone(), ..Default::default() };
+        let target = pollster::block_on(async {
+            let instance = setup.new_instance().await;
+            RenderState::create(&configuration, &instance, None, RendererOptions::PREDICTABLE).await
+        })?;
         let context = egui::Context::default();
         let viewer = Viewer::new(paths, wishes, &target, &context);
         let last = FullOutput::default();
