@@ -2,7 +2,10 @@
 //!
 //! Exit codes: 0 good, 1 a comparison failed, 2 bad input or usage. A broken pipe is success (`… | head`).
 
-use clap::{Parser, ValueEnum};
+mod generate;
+
+use crate::files::signals;
+use clap::{Command, Parser, ValueEnum};
 use std::ffi::OsString;
 use std::fmt;
 use std::io;
@@ -40,7 +43,24 @@ impl<E: std::error::Error + 'static> From<E> for Failure {
 
 /// Parses a command line. Help and version go to the standard output, and the program ends well; what cannot be parsed ends it with one line
 /// and exit code 2.
-pub fn parse<A: Parser>(program: &str, words: impl IntoIterator<Item = OsString>) -> A {
+pub fn parse<A: Parser>(program: &'static str, words: impl IntoIterator<Item = OsString>) -> A {
+    parse_beside(program, words, |command| command)
+}
+
+/// Parses as [`parse`] does. `beside` adds subcommands that the binary parses elsewhere, so that man pages and completions have them.
+pub fn parse_beside<A: Parser>(
+    program: &'static str,
+    words: impl IntoIterator<Item = OsString>,
+    beside: impl FnOnce(Command) -> Command,
+) -> A {
+    let words: Vec<OsString> = words.into_iter().collect();
+    if let Some(prefix) = generate::wanted(&words) {
+        let Err(failure) = generate::write(program, beside(A::command()), prefix) else {
+            std::process::exit(0)
+        };
+        eprintln!("{program}: error: {}", failure.line);
+        std::process::exit(2)
+    }
     A::try_parse_from(words).unwrap_or_else(|error| {
         if !error.use_stderr() {
             error.exit();
@@ -58,8 +78,9 @@ fn usage_line(text: &str) -> String {
     said.collect::<Vec<&str>>().join(" ").trim_start_matches("error: ").to_owned()
 }
 
-/// Runs a binary's body and turns its end into an exit code.
+/// Runs a binary's body and turns its end into an exit code. A signal that ends it leaves no half-written output.
 pub fn run(program: &str, body: impl FnOnce() -> Result<Outcome, Failure>) -> ExitCode {
+    signals::install(program);
     match body() {
         Ok(Outcome::Good) => ExitCode::SUCCESS,
         Ok(Outcome::Failed) => ExitCode::from(1),

@@ -1,10 +1,13 @@
 //! Opening, mapping and making files, for the binaries: the only module of the library that knows paths.
 //!
 //! Contract of the maps: the file is only read, and must not be truncated by another program while a tool runs
-//! (the kernel then ends the process with SIGBUS). Writers make a new file and give it the name, they never truncate one, so
-//! that none of our own tools breaks this.
+//! (the kernel then sends SIGBUS, which ends a binary with one line: `signals`). Writers make a new file and give it the name, they
+//! never truncate one, so that none of our own tools breaks this.
+
+pub(crate) mod signals;
 
 use memmap2::Mmap;
+use signals::Held;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::ops::Deref;
@@ -28,7 +31,11 @@ impl FileError {
 
 /// A whole file, mapped read-only. Page-aligned, so that 64-byte aligned sections can be viewed in place.
 #[derive(Debug)]
-pub struct MappedFile(Option<Mmap>);
+pub struct MappedFile {
+    /// Leaves the table before the map goes.
+    _held: Option<Held>,
+    map: Option<Mmap>,
+}
 
 impl MappedFile {
     /// Maps `path`; an empty file is an empty slice.
@@ -42,12 +49,12 @@ impl MappedFile {
             return Err(FileError::new(path, "map", io::Error::other("not a regular file")));
         }
         if metadata.len() == 0 {
-            return Ok(MappedFile(None));
+            return Ok(MappedFile { _held: None, map: None });
         }
         // SAFETY: the map is read-only and lives as long as the `Mmap`; that nobody truncates the file meanwhile is
         // the documented contract of this module.
         let map = unsafe { Mmap::map(&file) }.map_err(|e| FileError::new(path, "map", e))?;
-        Ok(MappedFile(Some(map)))
+        Ok(MappedFile { _held: Some(signals::hold_map(path, &map)), map: Some(map) })
     }
 }
 
@@ -55,12 +62,12 @@ impl Deref for MappedFile {
     type Target = [u8];
 
     fn deref(&self) -> &[u8] {
-        self.0.as_deref().unwrap_or(&[])
+        self.map.as_deref().unwrap_or(&[])
     }
 }
 
 /// A file that appears under its name only when it is whole. Until [`Self::commit`] it is a hidden neighbour, which is
-/// removed when the value is dropped; an older file of the name stays as it is. Where the name is a device or a pipe, it is
+/// removed when the value is dropped, or a signal ends a binary; an older file of the name stays as it is. Where the name is a device or a pipe, it is
 /// written straight; where it is a link, the file that it points to is replaced.
 ///
 /// For `.bvh` files, images and reports. A `.rays` is written straight to its path ([`create`]): what a killed
@@ -71,6 +78,8 @@ pub struct OutputFile {
     /// What the neighbour is called now, and what it will be called; `None` when the path is written straight.
     rename: Option<(PathBuf, PathBuf)>,
     file: File,
+    /// Of the neighbour.
+    _held: Option<Held>,
 }
 
 impl OutputFile {
@@ -84,7 +93,7 @@ impl OutputFile {
             Ok(metadata) if metadata.is_dir() => return Err(error(io::ErrorKind::IsADirectory.into())),
             Ok(metadata) if !metadata.is_file() => {
                 let file = File::options().write(true).open(path).map_err(error)?;
-                return Ok(OutputFile { path: path.to_owned(), rename: None, file });
+                return Ok(OutputFile { path: path.to_owned(), rename: None, file, _held: None });
             }
             _ => {}
         }
@@ -92,8 +101,10 @@ impl OutputFile {
         let name = target.file_name().ok_or_else(|| error(io::ErrorKind::IsADirectory.into()))?;
         let neighbour =
             target.with_file_name(format!(".{}.{}.part", name.to_string_lossy(), std::process::id()));
+        // Held before it is there: a signal may come at once.
+        let held = Some(signals::hold_neighbour(&neighbour));
         let file = File::create(&neighbour).map_err(error)?;
-        Ok(OutputFile { path: path.to_owned(), rename: Some((neighbour, target)), file })
+        Ok(OutputFile { path: path.to_owned(), rename: Some((neighbour, target)), file, _held: held })
     }
 
     /// The error of writing this file: use it for what a library's writer returned.

@@ -178,7 +178,9 @@ fn main() -> ExitCode {
         Some("render") => drop(arguments.remove(1)),
         _ => {}
     }
-    let arguments: Arguments = cli::parse("embree-trace", arguments.into_iter().map(spelled));
+    let words = arguments.into_iter().map(spelled);
+    let arguments: Arguments =
+        cli::parse_beside("embree-trace", words, |command| command.subcommand(record::command()));
     cli::run("embree-trace", || run(&arguments))
 }
 

@@ -1,6 +1,6 @@
 //! `embree-trace record`: runs a program and records what it asks Embree.
 
-use clap::{Parser, ValueEnum};
+use clap::{Command, CommandFactory, Parser, ValueEnum};
 use embree_trace::cli::{self, Failure, TextOrJson};
 use embree_trace::format::rays::Codec;
 use embree_trace::record::program::purpose::Rules;
@@ -79,6 +79,11 @@ enum Purposes {
     Cycles,
     /// All unknown
     None,
+}
+
+/// As a subcommand of `embree-trace`, for its man page and completions.
+pub fn command() -> Command {
+    Arguments::command().name("record")
 }
 
 /// `words` are those of the command line, with `record` as the second.
