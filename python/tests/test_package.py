@@ -1,0 +1,156 @@
+"""Against what the geometry says and what the commands say of the same files; and bad files by the hundred.
+
+    EMBREE_TRACE_BIN=target/debug PYTHONPATH=python python3 -m unittest discover python/tests
+"""
+
+import contextlib
+import io
+import json
+import os
+import pathlib
+import random
+import re
+import subprocess
+import tempfile
+import unittest
+
+import numpy as np
+
+import embree_trace
+from embree_trace import FormatError, open_bvh, open_rays
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+BIN = pathlib.Path(os.environ["EMBREE_TRACE_BIN"]).resolve()
+
+
+def run(*words):
+    return subprocess.run([str(BIN / words[0]), *map(str, words[1:])], check=True, capture_output=True, text=True).stdout
+
+
+def setUpModule():
+    global directory, work
+    directory = tempfile.TemporaryDirectory()
+    work = pathlib.Path(directory.name)
+    run("make-scene", "courtyard", work / "scene.obj", "--detail", 1)
+    for name, more in [("casts", []), ("packed", ["--compress"])]:
+        run("embree-trace", work / "scene.obj", "--size", "40x30", "--seed", 1, *more,
+            "--savetrace", work / f"{name}.rays", work / "built.bvh")
+
+
+def tearDownModule():
+    directory.cleanup()
+
+
+class Files(unittest.TestCase):
+    def test_hits_lie_on_the_triangles_that_they_name(self):
+        casts, tree = open_rays(work / "casts.rays", verify=True).queries(), open_bvh(work / "built.bvh", verify=True)
+        hits = casts[(casts["triangle"] != 0xFFFFFFFF) & (casts["kind"] == 0)]
+        self.assertGreater(len(hits), 1000)
+        along = hits["origin"] + hits["t"][:, None] * hits["direction"]
+        corners, u, v = tree.triangles[hits["triangle"]], hits["u"][:, None], hits["v"][:, None]
+        inside = (1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
+        size = np.linalg.norm(tree.nodes["upper"][0] - tree.nodes["lower"][0])
+        self.assertLess(np.abs(along - inside).max(), 1e-4 * size)
+
+    def test_boxes_hold_what_is_below(self):
+        tree = open_bvh(work / "built.bvh")
+        seen = np.zeros(len(tree.triangles), int)
+        for node in np.flatnonzero(tree.is_leaf):
+            corners = tree.triangles[tree.leaf_triangles(node)].reshape(-1, 3)
+            self.assertTrue((corners >= tree.nodes["lower"][node]).all() and (corners <= tree.nodes["upper"][node]).all())
+            seen[tree.leaf_triangles(node)] += 1
+        self.assertTrue((seen == 1).all())
+        with self.assertRaises(ValueError):
+            tree.leaf_triangles(0)
+
+    def test_the_commands_say_the_same(self):
+        rays, tree = open_rays(work / "casts.rays"), open_bvh(work / "built.bvh")
+        said, of_tree = (
+            json.loads(run("trace-info", work / name, "--format", "json")) for name in ("casts.rays", "built.bvh")
+        )
+        depths = rays.column("depth")
+        for depth, expected in said["by_depth"].items():
+            own = rays.queries()[depths == int(depth)]
+            self.assertEqual((len(own), int((own["flags"] & 1).sum())), (expected["queries"], expected["hits"]))
+        self.assertEqual(sum(depth["queries"] for depth in said["by_depth"].values()), len(rays))
+        self.assertEqual((f"{tree.fingerprint:016x}", tree.depth), (of_tree["fingerprint"], of_tree["depth"]))
+        self.assertEqual([int(count) for count in tree.geometries["triangle_count"]],
+                         [geometry["triangle_count"] for geometry in of_tree["geometries"]])
+        self.assertEqual(rays.fingerprint, tree.fingerprint)
+        self.assertTrue(rays.complete)
+
+    def test_raw_chunks_are_views_and_compressed_ones_the_same(self):
+        raw = open_rays(work / "casts.rays")
+        self.assertTrue(any(isinstance(base, np.memmap) for base in bases(raw.chunks[0].queries())))
+        packed = open_rays(work / "packed.rays", verify=True)
+        self.assertTrue(packed.chunks[0].compressed)
+        self.assertEqual(packed.queries().tobytes(), raw.queries().tobytes())
+        self.assertEqual(raw.column("t").tobytes(), raw.queries()["t"].tobytes())
+
+    def test_damage_is_told_or_harmless(self):
+        chance = random.Random(1)
+        for name, opens in [("casts.rays", open_rays), ("packed.rays", open_rays), ("built.bvh", open_bvh)]:
+            whole = (work / name).read_bytes()
+            damaged = [whole[: chance.randrange(len(whole))] for _ in range(60)]
+            for _ in range(200):
+                bits = bytearray(whole)
+                # Headers are hit often enough this way.
+                place = chance.randrange(min(len(bits), chance.choice([64, 400, len(bits)])))
+                bits[place] ^= 1 << chance.randrange(8)
+                damaged.append(bytes(bits))
+            told = 0
+            for number, content in enumerate(damaged):
+                path = work / "damaged"
+                path.write_bytes(content)
+                try:
+                    opened = opens(path, verify=True)
+                    if opens is open_rays:
+                        opened.queries()
+                        [chunk.rejects() for chunk in opened]
+                except FormatError as error:
+                    told += 1
+                    self.assertIn("damaged: at byte", str(error))
+                    self.assertNotIn("\n", str(error))
+            self.assertGreater(told, 60, name)
+
+    def test_what_is_no_file_of_ours_is_refused(self):
+        for content in [b"", b"\x89RAYS\r\n\x1a", b"\x89BVH\r\n\x1a\n" + bytes(8), b"v 0 0 0\n" * 40]:
+            (work / "other").write_bytes(content)
+            for opens in (open_rays, open_bvh):
+                with self.assertRaises(FormatError):
+                    opens(work / "other")
+        with self.assertRaises(OSError):
+            open_rays(work / "none.rays")
+
+
+class Commands(unittest.TestCase):
+    def test_a_bad_option_is_the_one_line_of_the_command(self):
+        with self.assertRaises(embree_trace.CommandError) as caught:
+            embree_trace.build(work / "built.bvh", work / "no.bvh", splits="none")
+        self.assertEqual(caught.exception.code, 2)
+        self.assertTrue(str(caught.exception).startswith("bvh-build: error: "))
+
+    def test_the_page_does_what_it_says(self):
+        """Runs the blocks of docs/python.md one after the other; what a block prints has to be what stands below it."""
+        page = (ROOT / "docs/python.md").read_text()
+        blocks = re.findall(r"```python\n(.*?)```\n(?:\n```text\n(.*?)```)?", page, re.S)
+        self.assertGreater(len(blocks), 4)
+        names, before = {}, os.getcwd()
+        os.chdir(work)
+        self.addCleanup(os.chdir, before)
+        for code, expected in blocks:
+            out = io.StringIO()
+            with contextlib.redirect_stdout(out):
+                exec(compile(code, "docs/python.md", "exec"), names)
+            if expected:
+                self.assertEqual(out.getvalue(), expected, code)
+
+
+def bases(array):
+    while array is not None:
+        yield array
+        array = getattr(array, "base", None)
+
+
+if __name__ == "__main__":
+    unittest.main()
