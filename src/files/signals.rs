@@ -103,7 +103,8 @@ mod handler {
         }
         for signal in [libc::SIGBUS, libc::SIGINT, libc::SIGTERM, libc::SIGHUP, libc::SIGABRT] {
             // SAFETY: both structures are plain data, for which zeros are valid, and are filled before they are used;
-            // `ended` has the signature that SA_SIGINFO asks for. RESETHAND: a second signal of the kind has its default action.
+            // `ended` has the signature that SA_SIGINFO asks for. The handler stays for as long as it runs: several threads may read behind the
+            // end of a file at once, and the default action of the second one's signal would end the process before the first has said why.
             unsafe {
                 let mut before: libc::sigaction = std::mem::zeroed();
                 libc::sigaction(signal, ptr::null(), &mut before);
@@ -112,7 +113,7 @@ mod handler {
                 }
                 let mut action: libc::sigaction = std::mem::zeroed();
                 action.sa_sigaction = ended as extern "C" fn(c_int, *mut siginfo_t, *mut c_void) as usize;
-                action.sa_flags = libc::SA_SIGINFO | libc::SA_RESETHAND | libc::SA_ONSTACK;
+                action.sa_flags = libc::SA_SIGINFO | libc::SA_ONSTACK;
                 libc::sigaction(signal, &action, ptr::null_mut());
             }
         }
@@ -143,10 +144,13 @@ mod handler {
             }
         }
         if shrunk.is_null() {
-            // The process ends by the signal once this handler returns: the default action is in place again, and a SIGBUS that is
-            // not of a map of ours comes back by itself, too.
-            // SAFETY: raises a signal for this thread.
-            unsafe { libc::raise(signal) };
+            // The process ends by the signal once this handler returns, for then it is let through; a SIGBUS that is not of a map of ours
+            // comes back by itself, too.
+            // SAFETY: POSIX allows both in a handler; the first puts the default action in place, the second raises a signal for this thread.
+            unsafe {
+                libc::signal(signal, libc::SIG_DFL);
+                libc::raise(signal);
+            }
             return;
         }
         for text in [PREFIX.load(SeqCst), shrunk, SHRANK.as_ptr().cast_mut()] {
