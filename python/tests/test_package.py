@@ -21,6 +21,8 @@ from embree_trace import FormatError, open_bvh, open_rays
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 BIN = pathlib.Path(os.environ["EMBREE_TRACE_BIN"]).resolve()
+# The page is run in another directory.
+os.environ["EMBREE_TRACE_BIN"] = str(BIN)
 
 
 def run(*words):
