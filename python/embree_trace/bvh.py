@@ -54,6 +54,8 @@ class Bvh:
         #: How the tree was built.
         self.meta: dict = self._meta(sections.get(b"META"))
         self._check()
+        if verify:
+            self._check_header(header)
 
     def _sections(self, count: int, checksum: int, verify: bool) -> Dict[bytes, np.ndarray]:
         table = self._file.bytes(128, 32 * count, "section table").view(_ENTRY)
@@ -72,6 +74,8 @@ class Bvh:
             sections[tag] = self._file.bytes(offset, length * int(entry["count"]), f"section {tag.decode()}")
             if verify:
                 self._file.check(offset, sections[tag], int(entry["checksum"]), f"section {tag.decode()}")
+            if tag == b"TRIS" and int(entry["checksum"]) != self.fingerprint:
+                self._file.fail(16, f"scene fingerprint {self.fingerprint:016x}: the checksum of TRIS is {int(entry['checksum']):016x}")
         for tag in _NEEDED:
             if tag not in sections:
                 self._file.fail(128, f"there is no section {tag.decode()}")
@@ -82,7 +86,7 @@ class Bvh:
             return {}
         try:
             meta = json.loads(section.tobytes())
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             self._file.fail(128, f"section META: {error}")
         return meta if isinstance(meta, dict) else {}
 
@@ -99,8 +103,42 @@ class Bvh:
             self._file.fail(128, "an inner node that has no children, or does not stand before them")
         if len(self.primitives) and int(self.primitives.max()) >= len(self.triangles):
             self._file.fail(128, f"triangle {self.primitives.max()}: there are {len(self.triangles)}")
-        if self.order is not None and len(self.order) != len(nodes):
-            self._file.fail(128, f"section ORDR has {len(self.order)} values for {len(nodes)} nodes")
+        if (_covered(nodes["first"][inner], count[inner], len(nodes))[1:] != 1).any():
+            self._file.fail(128, "a node without a parent, or with several")
+        filled = leaf & (count > 0)
+        if (_covered(nodes["first"][filled], count[filled], len(self.primitives)) != 1).any():
+            self._file.fail(128, "an entry of PRIM in no leaf, or in several")
+        if np.isnan(nodes["lower"]).any() or np.isnan(nodes["upper"]).any():
+            self._file.fail(128, "a box with a coordinate that is not a number")
+        first = self.geometries["first_triangle"].astype(np.int64)
+        ends = first + self.geometries["triangle_count"]
+        if (first[1:] < ends[:-1]).any() or (ends > len(self.triangles)).any():
+            self._file.fail(128, f"a geometry whose triangles are another's, or not among the {len(self.triangles)}")
+        if self.order is not None and (len(self.order) != len(nodes) or (self.order > 3).any()):
+            self._file.fail(128, f"section ORDR: expected {len(nodes)} values of 0 to 3")
+
+    def _check_header(self, header: np.void) -> None:
+        nodes, leaf = self.nodes, self.is_leaf
+        count = (nodes["count"] & ~LEAF).astype(np.int64)
+        for name in ("lower", "upper"):
+            if not np.array_equal(header[name], nodes[name][0]):
+                self._file.fail(24, f"bounds, {name}: not the root's")
+        children = int(count[~leaf].max(initial=0))
+        # Of a tree without inner nodes any width is right.
+        if children > self.max_children or int(count[leaf].max(initial=0)) != self.max_leaf:
+            self._file.fail(48, f"at most {self.max_children} children and {self.max_leaf} primitives: not those of the content")
+        if not self.flags & 1 and (np.bincount(self.primitives, minlength=1) > 1).any():
+            self._file.fail(60, "a triangle in several leaves, and flag bit 0 is not set")
+        # Level after level: the nodes below those of one are the next.
+        level, depth = np.zeros(1, np.int64), 0
+        while len(level) and depth <= self.depth:
+            depth += 1
+            inner = level[~leaf[level]]
+            own = count[inner]
+            starts = np.repeat(nodes["first"][inner].astype(np.int64) - (np.cumsum(own) - own), own)
+            level = starts + np.arange(len(starts))
+        if depth != self.depth:
+            self._file.fail(56, f"depth {self.depth}: not that of the content")
 
     @property
     def is_leaf(self) -> np.ndarray:
@@ -118,6 +156,13 @@ class Bvh:
         if not count & int(LEAF):
             raise ValueError(f"node {node} is not a leaf")
         return self.primitives[first : first + (count & 0x7FFF_FFFF)]
+
+
+def _covered(first: np.ndarray, count: np.ndarray, length: int) -> np.ndarray:
+    """In how many of the ranges of `count` from `first` each of 0 to `length` is; the ranges end at `length` or before."""
+    starts = np.bincount(first.astype(np.int64), minlength=length + 1)
+    ends = np.bincount(first.astype(np.int64) + count, minlength=length + 1)
+    return np.cumsum(starts - ends)[:length]
 
 
 def open_bvh(path: Path, verify: bool = False) -> Bvh:

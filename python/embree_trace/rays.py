@@ -36,6 +36,10 @@ _CHUNK = np.dtype(
 )
 _MOST_RECORDS = 65_536
 _MOST_DECODED = 16 << 20
+#: Of a zstd frame, decoded at a time: 4 bytes give at most 128 KiB, so these give at most 32 MiB.
+_PIECE = 1024
+_ENTRY = np.dtype([("offset", "<u8"), ("records", "<u4"), ("rejects", "<u4")])
+_END = b"RAYSEND\0"
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,11 @@ class Chunk:
     def __len__(self) -> int:
         return self.count
 
+    @property
+    def end(self) -> int:
+        """Where the next chunk stands, in bytes."""
+        return (self.offset + 64 + len(self._body()) + 63) // 64 * 64
+
     def _body(self) -> np.ndarray:
         head = self.file.struct(self.offset, "chunk header", _CHUNK)
         return self.file.bytes(self.offset + 64, int(head["stored"]), "chunk")
@@ -68,13 +77,22 @@ class Chunk:
             import zstandard
         except ImportError as error:
             raise ImportError("a compressed recording needs the package zstandard (Debian: python3-zstandard)") from error
+        # Piece by piece, so that a frame which decodes to more than it should is left before it takes the memory: neither the size
+        # that a frame states nor `max_output_size` would do that.
+        frame, parts, decoded, body = zstandard.ZstdDecompressor().decompressobj(), [], 0, body.tobytes()
         try:
-            plain = zstandard.ZstdDecompressor().decompress(body.tobytes(), max_output_size=size)
-        except zstandard.ZstdError as error:
-            self.file.fail(self.offset, f"chunk: {error}")
-        if len(plain) != size:
-            self.file.fail(self.offset, f"chunk: {len(plain)} bytes decoded, expected {size}")
-        return np.frombuffer(plain, np.uint8)
+            for start in range(0, len(body), _PIECE):
+                if frame.eof:
+                    self.file.fail(self.offset, "chunk: bytes behind its zstd frame")
+                parts.append(frame.decompress(body[start : start + _PIECE]))
+                decoded += len(parts[-1])
+                if decoded > size:
+                    self.file.fail(self.offset, f"chunk: more than {size} bytes decoded")
+        except (zstandard.ZstdError, MemoryError) as error:
+            self.file.fail(self.offset, f"chunk: zstd: {error}")
+        if not frame.eof or frame.unused_data or decoded != size:
+            self.file.fail(self.offset, f"chunk: {decoded} bytes decoded, expected one zstd frame of {size}")
+        return np.frombuffer(b"".join(parts), np.uint8)
 
     def queries(self) -> np.ndarray:
         """Its queries, an array of `RECORD`: a view of the file where it is raw, else decoded anew by each call."""
@@ -92,9 +110,19 @@ class Chunk:
         return rejects
 
     def verify(self) -> None:
-        """Compares its checksum; raises `FormatError` where it is damaged. Needs the package xxhash."""
+        """Compares its checksum, and looks at every record's kind and flag of rejects; raises `FormatError` where it is damaged.
+
+        Needs the package xxhash, and zstandard where the chunk is compressed.
+        """
         head = self.file.struct(self.offset, "chunk header", _CHUNK)
         self.file.check(self.offset, self._body(), int(head["checksum"]), "the chunk")
+        queries = self.queries()
+        if (queries["kind"] > 1).any():
+            self.file.fail(self.offset, f"kind {queries['kind'].max()} of a record: expected 0 or 1")
+        refused = np.zeros(self.count, bool)
+        refused[self.rejects()["record"]] = True
+        if ((queries["flags"] & 4 != 0) != refused).any():
+            self.file.fail(self.offset, "flag bit 2 is not set in exactly the records that have rejects")
 
 
 class Rays:
@@ -110,20 +138,39 @@ class Rays:
         self.deterministic = bool(header["flags"] & 1)
         self.producer = text(header["producer"])
         #: Whether the recording has its end; a killed one has not, and what was whole of it is here all the same.
-        self.complete = False
-        self.chunks: List[Chunk] = list(self._walk())
+        self.complete = len(self._file.data) >= 144 and self._file.data[-8:].tobytes() == _END
+        #: Chunks in file order. Those of a killed recording go as far as the first that is damaged or not whole.
+        self.chunks: List[Chunk] = self._indexed(verify) if self.complete else list(self._walk(len(self._file.data)))
         if verify:
             for chunk in self.chunks:
                 chunk.verify()
 
-    def _walk(self) -> Iterator[Chunk]:
-        at, size = 64, len(self._file.data)
+    def _indexed(self, verify: bool) -> List[Chunk]:
+        # With its end, a file has all that its index names, or it is damaged.
+        size = len(self._file.data)
+        at = int(self._file.bytes(size - 16, 8, "place of the index").view("<u8")[0])
+        if at % 64 or not 64 <= at <= size - 80:
+            self._file.fail(size - 16, f"the index at {at}: expected a multiple of 64 before the end")
+        head = self._file.struct(at, "index", _CHUNK)
+        stored = int(head["stored"])
+        if head["magic"] != b"RIDX" or head["codec"] != 0 or stored != size - 80 - at or stored != int(head["decoded"]) or stored % 16:
+            self._file.fail(at, f"magic {bytes(head['magic'])!r}, {stored} bytes: expected an index of {size - 80 - at} bytes")
+        body = self._file.bytes(at + 64, stored, "index")
+        if verify:
+            self._file.check(at, body, int(head["checksum"]), "the index")
+        chunks = list(self._walk(at))
+        for number, (chunk, entry) in enumerate(zip(chunks, body.view(_ENTRY))):
+            if (chunk.offset, chunk.count, chunk.reject_count) != tuple(int(value) for value in entry):
+                self._file.fail(at + 64 + 16 * number, f"entry {number} of the index is not what the chunk at {chunk.offset} says")
+        if len(chunks) != stored // 16:
+            self._file.fail(chunks[-1].end if chunks else 64, f"{len(chunks)} whole chunks before, of {stored // 16} in the index: expected one")
+        return chunks
+
+    def _walk(self, size: int) -> Iterator[Chunk]:
+        at = 64
         while at + 64 <= size:
             head = self._file.struct(at, "chunk header", _CHUNK)
             stored, records, rejects = int(head["stored"]), int(head["records"]), int(head["rejects"])
-            if head["magic"] == b"RIDX":
-                self.complete = self._file.data[size - 8 :].tobytes() == b"RAYSEND\0"
-                return
             if head["magic"] != b"RCHK" or at + 64 + stored > size:
                 # The rest was being written when the program ended.
                 return
