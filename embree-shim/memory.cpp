@@ -9,6 +9,10 @@
 #include <cstring>
 #include <memory>
 
+#ifdef __SANITIZE_ADDRESS__
+#include <sanitizer/asan_interface.h>
+#endif
+
 namespace shim {
 namespace {
 
@@ -98,6 +102,12 @@ void ProcessMemory::read(Object object, std::uintptr_t address, void* out, std::
                                         [](std::uintptr_t value, const Range& range) { return value < range.begin; });
     last_ = static_cast<std::size_t>(after - readable_.begin()) - 1;
   }
+#ifdef __SANITIZE_ADDRESS__
+  // Readable memory may belong to no object: a wrong pointer may lead there, a true one does not.
+  if (__asan_region_is_poisoned(const_cast<void*>(reinterpret_cast<const void*>(address)), bytes) != nullptr) {
+    throw Doubt(std::string("the pointer to ") + name(object) + " leads to no object");
+  }
+#endif
   std::memcpy(out, reinterpret_cast<const void*>(address), bytes);
 }
 

@@ -155,6 +155,22 @@ fn threads_and_forks() {
     assert_eq!(run.seen().values().map(Vec::len).collect::<Vec<_>>(), [16_000, 8000]);
 }
 
+/// Threads that each make, commit and change scenes while they and others ask: every query is there. `tools/sanitizers` looks for races in it.
+#[test]
+fn threads_with_scenes_of_their_own() {
+    let run = run_host(&[], "busy");
+    assert!(run.output.stdout == unrecorded("busy") && !run.said().contains("warning"), "{}", run.said());
+    let file = run.rays();
+    let rays = Rays::parse(&file).unwrap();
+    rays.validate_all().unwrap();
+    assert_eq!(rays.query_count(), 8 * 6 * 4 * 500);
+    // In each round one scene that all commit together and two commits of each thread's; and the one that is there from the start.
+    assert_eq!(run.trees().len(), 6 * (1 + 2 * 8) + 1);
+    let threads: std::collections::BTreeSet<u32> =
+        rays.chunks().iter().map(|chunk| chunk.info.thread).collect();
+    assert_eq!(threads.len(), 8 * 6);
+}
+
 /// A killed program has lost nothing that it had seen.
 #[test]
 fn a_killed_program() {

@@ -5,6 +5,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -298,6 +299,75 @@ std::vector<RTCRayHit> random_rays(unsigned count) {
   return rays;
 }
 
+// 8 threads, each with scenes of its own that it fills, commits, asks, changes and releases, beside one that all ask and one that all commit
+// together: all that the recorder locks or counts, at once.
+void busy(RTCScene shared, RTCScene child, RTCIntersectContext context, const std::vector<RTCRayHit>& rays) {
+  std::atomic<unsigned> hits{0};
+  const auto count_hits = [&](RTCScene scene, RTCIntersectContext* own) {
+    for (RTCRayHit ray : rays) {
+      rtcIntersect1(scene, own, &ray);
+      hits += ray.hit.geomID != RTC_INVALID_GEOMETRY_ID ? 1 : 0;
+    }
+  };
+  for (int round = 0; round < 6; round++) {
+    RTCScene joined = rtcNewScene(device);
+    const Grid together(9, 0.3f, false);
+    attach(joined, triangles(together), 0);
+    std::vector<std::thread> threads;
+    for (int number = 0; number < 8; number++) {
+      threads.emplace_back([&, number] {
+        RTCIntersectContext own = context;
+        const Grid grid(4 + number, 0.2f, false);
+        rtcJoinCommitScene(joined);
+        count_hits(joined, &own);
+        RTCScene scene = rtcNewScene(device);
+        RTCGeometry geometry = triangles(grid);
+        rtcRetainGeometry(geometry);
+        rtcSetGeometryIntersectFilterFunction(geometry, number % 2 == 0 ? reject_thirds : reject_fourths);
+        rtcCommitGeometry(geometry);
+        attach(scene, geometry, 1);
+        attach(scene, instance(child, 0.1f * number, 0.6f), 4);
+        rtcCommitScene(scene);
+        count_hits(scene, &own);
+        rtcDisableGeometry(geometry);
+        rtcCommitGeometry(geometry);
+        rtcCommitScene(scene);
+        count_hits(scene, &own);
+        rtcDetachGeometry(scene, 4);
+        rtcReleaseGeometry(geometry);
+        rtcReleaseScene(scene);
+        count_hits(shared, &own);
+      });
+    }
+    for (std::thread& thread : threads) thread.join();
+    rtcReleaseScene(joined);
+  }
+  std::printf("%u hits\n", hits.load());
+}
+
+// Misuses Embree so that what the recorder does with it is a defect, which a sanitizer must see: then this does not end.
+void defect(RTCScene scene, RTCIntersectContext* context, const std::string& kind) {
+  if (kind == "defect-address") {
+    // A query in memory that is freed.
+    auto* asked = new RTCRayHit(random_ray(true));
+    delete asked;
+    rtcIntersect1(scene, context, asked);
+  } else if (kind == "defect-undefined") {
+    alignas(16) char bytes[5 * sizeof(int)] = {};
+    RTCRayHit4 rays{};
+    rtcIntersect4(reinterpret_cast<const int*>(bytes + 1), scene, context, &rays);
+  } else {
+    // One thread moves a vertex while the other commits: what the recorder writes down is then neither.
+    Grid grid(3, 0, false);
+    RTCScene own = rtcNewScene(device);
+    attach(own, triangles(grid), 0);
+    std::thread other([&] { grid.vertices[0].position[0] = 1; });
+    rtcCommitScene(own);
+    other.join();
+    rtcReleaseScene(own);
+  }
+}
+
 }  // namespace
 
 int main(int, char** arguments) {
@@ -344,9 +414,9 @@ int main(int, char** arguments) {
     attach(scene, instance(child, -0.9f, 0.8f), 8);
     attach(scene, moving_instance(child, 0.8f, 1.5f), 6);
   }
-  // It lives on in its instances.
-  rtcReleaseScene(child);
   rtcCommitScene(scene);
+  // It lives on in its instances.
+  if (what != "busy") rtcReleaseScene(child);
 
   RTCIntersectContext context;
   rtcInitIntersectContext(&context);
@@ -398,6 +468,11 @@ int main(int, char** arguments) {
       }
       for (std::thread& thread : threads) thread.join();
     }
+  } else if (what == "busy") {
+    rays.resize(500);
+    busy(scene, child, context, rays);
+  } else if (what.find("defect-") == 0) {
+    defect(scene, &context, what);
   } else if (what == "fork") {
     single(scene, &context, rays);
     std::fflush(stdout);
@@ -414,6 +489,7 @@ int main(int, char** arguments) {
   } else {
     single(scene, &context, rays);
   }
+  if (what == "busy") rtcReleaseScene(child);
   rtcReleaseGeometry(ground);
   rtcReleaseScene(scene);
   rtcReleaseDevice(device);

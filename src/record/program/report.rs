@@ -148,7 +148,7 @@ impl fmt::Display for Report {
                 nodes,
                 ..
             } = scene;
-            writeln!(f, "scene {number:<3}{queries} queries; the program's scene {which}, commit {commit}")?;
+            writeln!(f, "scene {number:<2} {queries} queries; the program's scene {which}, commit {commit}")?;
             if let Some(path) = path {
                 write!(f, "{:<9}{path}: {producer}, {nodes} nodes over {triangles} triangles", "")?;
                 if *instances > 0 {
