@@ -5,6 +5,7 @@
 mod generate;
 
 use crate::files::signals;
+use crate::ranks::{self, RankFailed, Ranks};
 use clap::{Command, Parser, ValueEnum};
 use std::ffi::OsString;
 use std::fmt;
@@ -24,11 +25,13 @@ pub enum Outcome {
 pub struct Failure {
     line: String,
     broken_pipe: bool,
+    /// Another rank failed, not this one.
+    elsewhere: Option<RankFailed>,
 }
 
 impl Failure {
     pub fn new(line: impl fmt::Display) -> Failure {
-        Failure { line: line.to_string(), broken_pipe: false }
+        Failure { line: line.to_string(), broken_pipe: false, elsewhere: None }
     }
 }
 
@@ -37,7 +40,9 @@ impl<E: std::error::Error + 'static> From<E> for Failure {
         let broken_pipe = (&error as &dyn std::error::Error)
             .downcast_ref::<io::Error>()
             .is_some_and(|e| e.kind() == io::ErrorKind::BrokenPipe);
-        Failure { line: error.to_string(), broken_pipe }
+        let sources = std::iter::successors(Some(&error as &dyn std::error::Error), |error| error.source());
+        let elsewhere = sources.filter_map(|error| error.downcast_ref::<RankFailed>()).next().cloned();
+        Failure { line: error.to_string(), broken_pipe, elsewhere }
     }
 }
 
@@ -81,15 +86,53 @@ fn usage_line(text: &str) -> String {
 /// Runs a binary's body and turns its end into an exit code. A signal that ends it leaves no half-written output.
 pub fn run(program: &str, body: impl FnOnce() -> Result<Outcome, Failure>) -> ExitCode {
     signals::install(program);
-    match body() {
+    ended(program, body(), true)
+}
+
+/// Runs a binary's body on every rank of an MPI job where `mpi` asks for it, else in this process alone. Where a rank fails, all end with
+/// exit code 2, and the first says what failed and on which.
+pub fn run_on_ranks(
+    program: &str,
+    mpi: bool,
+    body: impl FnOnce(&dyn Ranks) -> Result<Outcome, Failure>,
+) -> ExitCode {
+    signals::install(program);
+    match ranks::start(mpi) {
+        Ok(ranks) => ended(program, agreed(&*ranks, body(&*ranks)), ranks.rank() == 0),
+        Err(error) => ended(program, Err(error.into()), true),
+    }
+}
+
+/// The exit code, after one line where there is an error to be told.
+fn ended(program: &str, result: Result<Outcome, Failure>, tells: bool) -> ExitCode {
+    match result {
         Ok(Outcome::Good) => ExitCode::SUCCESS,
         Ok(Outcome::Failed) => ExitCode::from(1),
         Err(failure) if failure.broken_pipe => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("{program}: error: {}", failure.line.replace('\n', " "));
+            if tells {
+                eprintln!("{program}: error: {}", failure.line.replace('\n', " "));
+            }
             ExitCode::from(2)
         }
     }
+}
+
+/// A result that is good only where every rank's is.
+fn agreed(ranks: &dyn Ranks, result: Result<Outcome, Failure>) -> Result<Outcome, Failure> {
+    if ranks.count() == 1 {
+        return result;
+    }
+    let failed = match result {
+        Ok(outcome) => match ranks::gather_all(ranks, ()) {
+            Ok(_) => return Ok(outcome),
+            Err(failed) => failed,
+        },
+        Err(Failure { elsewhere: Some(failed), .. }) => failed,
+        Err(failure) => ranks::tell_failure(ranks, &failure.line),
+    };
+    // What the first says needs no name: it is what one process would have said.
+    Err(if failed.rank == 0 { Failure::new(failed.line) } else { Failure::new(failed) })
 }
 
 /// `--format` of commands that print for people or for machines.

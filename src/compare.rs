@@ -12,6 +12,7 @@ use crate::format::FormatError;
 use crate::format::bvh::{Bvh, flag};
 use crate::format::rays::{NO_DEPTH, Rays};
 use crate::progress::Progress;
+use crate::ranks::{RankFailed, Ranks, Share, merge_all};
 use crate::replay::check::Judge;
 use crate::replay::pixels::ImageSize;
 use crate::replay::profile::Levels;
@@ -174,6 +175,8 @@ pub enum CompareError {
     Order { path: String, source: OrderError },
     #[error("{path}: no query is left to replay{why}")]
     NoQueries { path: String, why: &'static str },
+    #[error("{0}")]
+    Rank(#[from] RankFailed),
 }
 
 /// Checks that all belong to one scene. Returns a warning when the rays do not say to which they belong.
@@ -203,12 +206,15 @@ pub fn check_scenes(
 
 /// Replays every recording over every tree in every order. The caller has called [`check_scenes`].
 ///
+/// Each of the `ranks` replays its share of the chunks, and each gets the whole comparison; times are measured by one rank alone only.
+///
 /// # Errors
-/// When a file is damaged, or no query of a recording is left.
+/// When a file is damaged, no query of a recording is left, or another rank fails.
 pub fn compare(
     trees: &[Candidate],
     recordings: &[Recording],
     settings: Settings,
+    ranks: &dyn Ranks,
     progress: &Progress,
 ) -> Result<Comparison, CompareError> {
     // RayOrder's own answers end the segments that it is held to.
@@ -244,7 +250,7 @@ pub fn compare(
                 };
                 runs.push(Run {
                     traversal,
-                    outcome: replay_all(recording, &prepared, &judge, &options, progress)?,
+                    outcome: replay_all(recording, &prepared, &judge, &options, ranks, progress)?,
                 });
             }
             result.trees.push(TreeResult { runs, overlap_run });
@@ -265,10 +271,12 @@ fn replay_all(
     prepared: &Prepared,
     judge: &Judge,
     options: &replay::Options,
+    ranks: &dyn Ranks,
     progress: &Progress,
 ) -> Result<Outcome, CompareError> {
-    let outcome = replay::replay(prepared, judge, rays, options, progress)
+    let own = replay::replay_share(prepared, judge, rays, options, Share::of(ranks), progress)
         .map_err(|source| CompareError::File { path: path.clone(), source })?;
+    let outcome = merge_all(ranks, own, Outcome::merge)?;
     if outcome.tallies.total.queries == 0 {
         let why = if rays.query_count() == 0 {
             "; the recording is empty"

@@ -16,7 +16,7 @@
 //! | results | [`compare`], [`report`], [`experiment`] | trees side by side; tables, JSON, heat maps; the paper's figures |
 //! | a window's logic | [`explore`] | walking a tree; where its work goes; what a query does, step by step |
 //! | on screen | `view` (feature) | the window `bvh-view`, and its screenshots |
-//! | around it | [`cli`], [`progress`], [`random`] | what all commands and all algorithms share |
+//! | around it | [`cli`], [`progress`], [`random`], [`ranks`] | what all commands and all algorithms share; several processes that do the work of one |
 //!
 //! # Invariants
 //!
@@ -43,6 +43,7 @@ pub mod optimize;
 pub mod probability;
 pub mod progress;
 pub mod random;
+pub mod ranks;
 pub mod recipe;
 #[cfg(feature = "embree")]
 pub mod record;

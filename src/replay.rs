@@ -16,6 +16,7 @@ pub mod together;
 use crate::format::FormatError;
 use crate::format::rays::{Chunk, NO_PATH, Rays, Record};
 use crate::progress::Progress;
+use crate::ranks::Share;
 use crate::traverse::packet::MOST;
 use crate::traverse::{
     Counts, Decisions, Hit, Observer, OcclusionOrder, Overlap, PacketCounts, Prepared, PreparedRay, Scratch,
@@ -27,6 +28,7 @@ use profile::{Levels, Profile, Profiler};
 use query::{Choice, Query};
 use rayon::prelude::*;
 use select::Sample;
+use serde::{Deserialize, Serialize};
 use sort::Sort;
 use std::ops::Range;
 use std::time::Instant;
@@ -58,16 +60,33 @@ pub struct Options<'a> {
 }
 
 /// A query whose answer is wrong.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Mismatch {
     /// Number of the query in the file.
     pub query: u64,
+    #[serde(with = "as_words")]
     pub record: Record,
     pub found: Option<Hit>,
 }
 
+/// A record as sixteen words, for messages between ranks.
+mod as_words {
+    use super::Record;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    type Words = [u32; 16];
+
+    pub fn serialize<S: Serializer>(record: &Record, to: S) -> Result<S::Ok, S::Error> {
+        bytemuck::cast::<Record, Words>(*record).serialize(to)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Record, D::Error> {
+        Words::deserialize(from).map(bytemuck::cast)
+    }
+}
+
 /// What a replay found.
-#[derive(Debug)]
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub struct Outcome {
     pub tallies: Tallies,
     /// The first one in the file.
@@ -78,24 +97,23 @@ pub struct Outcome {
     pub profile: Option<Profile>,
 }
 
-/// What threads add up.
-#[derive(Default)]
-struct Sum {
-    tallies: Tallies,
-    mismatch: Option<Mismatch>,
-    violation: Option<u64>,
-    profile: Profile,
-}
-
-impl Sum {
-    fn merge(mut self, other: Sum) -> Sum {
+impl Outcome {
+    /// Adds what was found in another part of the same recording.
+    pub fn merge(self, other: Outcome) -> Outcome {
         let first = |a: Option<Mismatch>, b: Option<Mismatch>| a.into_iter().chain(b).min_by_key(|m| m.query);
-        self.profile.merge(&other.profile);
-        Sum {
-            profile: self.profile,
+        if let (Some(sum), Some(more)) = (&self.pixels, &other.pixels) {
+            sum.merge(more);
+        }
+        let mut profile = self.profile;
+        if let (Some(sum), Some(more)) = (&mut profile, &other.profile) {
+            sum.merge(more);
+        }
+        Outcome {
             tallies: self.tallies.merge(other.tallies),
             mismatch: first(self.mismatch, other.mismatch),
             violation: self.violation.into_iter().chain(other.violation).min(),
+            pixels: self.pixels.or(other.pixels),
+            profile: profile.or(other.profile),
         }
     }
 }
@@ -127,6 +145,21 @@ pub fn replay(
     options: &Options,
     progress: &Progress,
 ) -> Result<Outcome, FormatError> {
+    replay_share(prepared, judge, rays, options, Share::WHOLE, progress)
+}
+
+/// Replays as [`replay`] does, of the chunks only those of `share`. [`Outcome::merge`] of all shares is the outcome of the whole.
+///
+/// # Errors
+/// When one of those chunks is damaged.
+pub fn replay_share(
+    prepared: &Prepared,
+    judge: &Judge,
+    rays: &Rays,
+    options: &Options,
+    share: Share,
+    progress: &Progress,
+) -> Result<Outcome, FormatError> {
     let job = Job {
         prepared,
         judge,
@@ -134,27 +167,27 @@ pub fn replay(
         sample: options.choice.sample_of(rays.query_count()),
         pixels: options.image.map(Pixels::new),
     };
-    let mut sum = Sum::default();
-    let mut start = 0u64;
-    let numbers: Vec<usize> = (0..rays.chunks().len()).collect();
+    let mut sum = Outcome { profile: options.profile.map(Profile::new), ..Outcome::default() };
+    let firsts = rays.first_queries();
+    let numbers: Vec<usize> = share.in_turn(rays.chunks().len()).collect();
     for wave in numbers.chunks(2 * rayon::current_num_threads()) {
         let chunks: Vec<Chunk> = wave.par_iter().map(|&index| rays.chunk(index)).collect::<Result<_, _>>()?;
         let mut pieces = Vec::new();
-        for chunk in &chunks {
+        for (chunk, &number) in chunks.iter().zip(wave) {
+            let start = firsts[number];
             let whole = options.sort.is_some() || options.packet.is_some();
             let size = if whole { chunk.records.len().max(1) } else { PIECE };
             for first in (0..chunk.records.len()).step_by(size) {
                 let range = first..chunk.records.len().min(first + size);
                 pieces.push((chunk, start, range));
             }
-            start += chunk.records.len() as u64;
         }
         let found = pieces
             .into_par_iter()
             .fold(
                 || {
-                    let profile = options.profile.map(Profile::new).unwrap_or_default();
-                    (Sum { profile, ..Sum::default() }, Room::default())
+                    let profile = options.profile.map(Profile::new);
+                    (Outcome { profile, ..Outcome::default() }, Room::default())
                 },
                 |(mut sum, mut room), (chunk, start, range)| {
                     let queries = range.len() as u64;
@@ -164,16 +197,14 @@ pub fn replay(
                 },
             )
             .map(|(sum, _)| sum)
-            .reduce(Sum::default, Sum::merge);
+            .reduce(Outcome::default, Outcome::merge);
         sum = sum.merge(found);
     }
-    let Sum { tallies, mismatch, violation, profile } = sum;
-    let profile = options.profile.map(|_| profile);
-    Ok(Outcome { tallies, mismatch, violation, pixels: job.pixels, profile })
+    Ok(Outcome { pixels: job.pixels, ..sum })
 }
 
 impl Job<'_> {
-    fn piece(&self, chunk: &Chunk, start: u64, range: Range<usize>, sum: &mut Sum, room: &mut Room) {
+    fn piece(&self, chunk: &Chunk, start: u64, range: Range<usize>, sum: &mut Outcome, room: &mut Room) {
         let mut queries = self.options.choice.within(chunk, start, range, self.sample);
         queries.sort_by_key(|query| tally::cell(query.record));
         let (mut hits, mut counts) = (vec![None; queries.len()], vec![Counts::default(); queries.len()]);
@@ -240,7 +271,7 @@ impl Job<'_> {
         &self,
         query: &Query,
         (hit, counts): (Option<Hit>, Counts),
-        sum: &mut Sum,
+        sum: &mut Outcome,
         Room { scratch, lines }: &mut Room,
     ) -> Replayed {
         let verdict = self.judge.judge(query.record, &query.ray, hit, &query.candidates);
@@ -264,8 +295,8 @@ impl Job<'_> {
         {
             pixels.add(query.record.path, &counts);
         }
-        if let Some(levels) = self.options.profile {
-            let mut profiler = Profiler::new(levels, &mut sum.profile, lines);
+        if let (Some(levels), Some(profile)) = (self.options.profile, &mut sum.profile) {
+            let mut profiler = Profiler::new(levels, profile, lines);
             self.ask(query, &mut profiler, scratch);
             profiler.finish();
         }

@@ -61,6 +61,7 @@ use child_order::{Always, ChildOrder, Drawn, LargerFirst, NearestFirst, OutsideF
 use form::{Below, Room};
 use groups::Groups;
 use pairs::Pairs;
+use serde::{Deserialize, Serialize};
 use simd::Machine;
 
 /// In which order nodes are visited.
@@ -93,7 +94,7 @@ impl Traversal {
 }
 
 /// The answer to a closest-hit query.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Hit {
     /// In units of the direction's length.
     pub t: f32,

@@ -12,6 +12,7 @@ use embree_trace::format::bvh::{self, Bvh, Contents};
 use embree_trace::format::rays::Rays;
 use embree_trace::mesh::{Mesh, generate, obj};
 use embree_trace::progress::Progress;
+use embree_trace::ranks::Alone;
 use embree_trace::replay::query::Choice;
 use embree_trace::replay::select::Filter;
 use embree_trace::replay::tally::Costs;
@@ -85,7 +86,8 @@ fn confirm(name: &str, mesh: &Mesh, options: &[&str], borderline: u64) {
         fit: false,
     };
     let recording = Recording { path: name.to_owned(), rays: &rays, image: None };
-    let comparison = compare(&candidates, &[recording], settings, &Progress::hidden()).expect("whole files");
+    let comparison =
+        compare(&candidates, &[recording], settings, &Alone, &Progress::hidden()).expect("whole files");
     assert_eq!(comparison.failures(), Vec::<String>::new());
     for (_, tree, result) in comparison.results() {
         for run in &result.runs {

@@ -8,6 +8,7 @@ use embree_trace::format::FileKind;
 use embree_trace::format::bvh::Bvh;
 use embree_trace::format::rays::Rays;
 use embree_trace::progress::Progress;
+use embree_trace::ranks::Ranks;
 use embree_trace::replay::pixels::ImageSize;
 use embree_trace::replay::query::Choice;
 use embree_trace::replay::select::{Filter, Portion};
@@ -35,6 +36,7 @@ Examples:
   bvh-compare built.bvh ours.bvh casts.rays --packet 64 --sort direction --time
   bvh-compare built.bvh ours.bvh casts.rays --html report.html
   bvh-compare built.bvh ours.bvh casts.rays --fit --rounds 9
+  mpirun -n 4 bvh-compare --mpi built.bvh ours.bvh casts.rays
 
 Filters are conditions joined by commas: purpose=camera+diffuse (unknown, camera, shadow, ao, diffuse,
 specular), kind=closest or kind=occlusion, depth=1.. (also 2, 0..3 without 3, 0..=2, unknown), path=0..640.
@@ -133,6 +135,10 @@ struct Arguments {
     /// Size of the traced image, where the trees do not say; one per recording, or one for all
     #[arg(long, value_name = "WxH", value_delimiter = ',')]
     size: Vec<ImageSize>,
+
+    /// Share the recordings' chunks with the other processes that mpirun started; the first prints, the same as one process would
+    #[arg(long, conflicts_with_all = ["time", "fit"])]
+    mpi: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -158,10 +164,11 @@ fn share(text: &str) -> Result<f64, String> {
 
 fn main() -> ExitCode {
     let arguments: Arguments = cli::parse(PROGRAM, std::env::args_os());
-    cli::run(PROGRAM, || run(&arguments))
+    cli::run_on_ranks(PROGRAM, arguments.mpi, |ranks| run(&arguments, ranks))
 }
 
-fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
+fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
+    let prints = ranks.rank() == 0;
     let files = arguments.files.iter().map(|path| MappedFile::open(path)).collect::<Result<Vec<_>, _>>()?;
     // The recordings are the last files; the first is a tree and the last a recording, or the error says what they are.
     let recording = |file: &&MappedFile| FileKind::of(file) == Some(FileKind::Rays);
@@ -190,7 +197,8 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         })
         .collect();
     for recording in &recordings {
-        check(&candidates, recording)?;
+        let warnings = check(&candidates, recording)?;
+        warnings.iter().filter(|_| prints).for_each(|line| eprintln!("{PROGRAM}: warning: {line}"));
     }
     if arguments.heatmap.is_some() && size(0).is_none() {
         return Err(Failure::new(
@@ -224,27 +232,37 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         fit: arguments.fit,
     };
     let queries: u64 = rays.iter().map(Rays::query_count).sum();
-    let progress = Progress::new("replaying", queries * (trees.len() * settings.traversals.len()) as u64);
+    let steps = queries * (trees.len() * settings.traversals.len()) as u64 / ranks.count() as u64;
+    let progress = if prints { Progress::new("replaying", steps) } else { Progress::hidden() };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(arguments.threads).build()?;
-    let comparison = pool.install(|| compare::compare(&candidates, &recordings, settings, &progress))?;
+    let comparison =
+        pool.install(|| compare::compare(&candidates, &recordings, settings, ranks, &progress))?;
     drop(progress);
 
-    if let Some(directory) = &arguments.heatmap {
-        write_pictures(directory, &comparison)?;
-    }
     let mut failures = comparison.failures();
     failures.extend(arguments.fail_above.into_iter().flat_map(|limit| comparison.above(limit)));
+    if prints {
+        print(arguments, &comparison, &failures)?;
+    }
+    Ok(if failures.is_empty() { Outcome::Good } else { Outcome::Failed })
+}
+
+/// Writes all that was asked for.
+fn print(arguments: &Arguments, comparison: &Comparison, failures: &[String]) -> Result<(), Failure> {
+    if let Some(directory) = &arguments.heatmap {
+        write_pictures(directory, comparison)?;
+    }
     if let Some(path) = &arguments.html {
-        write_page(path, &comparison, &failures)?;
+        write_page(path, comparison, failures)?;
     }
     let text = match arguments.format {
-        Format::Table => table::render(&comparison, arguments.details),
-        Format::Json => json::render(&comparison, &failures)? + "\n",
-        Format::Csv => csv::render(&comparison),
+        Format::Table => table::render(comparison, arguments.details),
+        Format::Json => json::render(comparison, failures)? + "\n",
+        Format::Csv => csv::render(comparison),
     };
     failures.iter().for_each(|line| eprintln!("{PROGRAM}: failed: {line}"));
     std::io::stdout().lock().write_all(text.as_bytes())?;
-    Ok(if failures.is_empty() { Outcome::Good } else { Outcome::Failed })
+    Ok(())
 }
 
 /// Reads files of one kind; an error says which file.
@@ -256,24 +274,20 @@ fn parse_all<'a, T, E: std::error::Error>(
     paths.iter().zip(files).map(|(path, file)| parse(file).map_err(|error| at(path, error))).collect()
 }
 
-/// Refuses a recording of another scene, and warns of one that is not whole.
-fn check(candidates: &[Candidate], Recording { path, rays, .. }: &Recording) -> Result<(), Failure> {
-    if let Some(warning) = compare::check_scenes(candidates, path, rays)? {
-        warn(&warning);
-    }
+/// Refuses a recording of another scene, and returns what there is to warn of.
+fn check(candidates: &[Candidate], Recording { path, rays, .. }: &Recording) -> Result<Vec<String>, Failure> {
+    let mut warnings = Vec::from_iter(compare::check_scenes(candidates, path, rays)?);
     if let Some(recovery) = &rays.recovery {
         let (queries, lost) = (recovery.queries, recovery.lost_bytes);
-        warn(&format!("{path}: the recording was cut off; {queries} queries recovered, {lost} bytes lost"));
+        warnings.push(format!(
+            "{path}: the recording was cut off; {queries} queries recovered, {lost} bytes lost"
+        ));
     }
-    Ok(())
+    Ok(warnings)
 }
 
 fn at(path: &Path, error: impl std::error::Error) -> Failure {
     Failure::new(format!("{}: {error}", path.display()))
-}
-
-fn warn(line: &str) {
-    eprintln!("{PROGRAM}: warning: {line}");
 }
 
 fn write_page(path: &Path, comparison: &Comparison, failures: &[String]) -> Result<(), Failure> {

@@ -2,6 +2,7 @@
 
 use super::tally::Costs;
 use crate::traverse::Counts;
+use serde::{Deserialize, Serialize};
 use std::str::FromStr;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use thiserror::Error;
@@ -10,7 +11,7 @@ use thiserror::Error;
 const MOST_PIXELS: u64 = 1 << 25;
 
 /// Width and height of the traced image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ImageSize {
     pub width: u32,
     pub height: u32,
@@ -50,7 +51,7 @@ impl FromStr for ImageSize {
 }
 
 /// Tests per pixel.
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
 pub struct Pixels {
     pub size: ImageSize,
     box_tests: Vec<AtomicU64>,
@@ -69,6 +70,14 @@ impl Pixels {
         if let (Some(boxes), Some(primitives)) = (self.box_tests.get(at), self.primitive_tests.get(at)) {
             boxes.fetch_add(counts.box_tests, Relaxed);
             primitives.fetch_add(counts.primitive_tests, Relaxed);
+        }
+    }
+
+    /// Adds what another part of the same recording cost.
+    pub fn merge(&self, other: &Pixels) {
+        let sums = [(&self.box_tests, &other.box_tests), (&self.primitive_tests, &other.primitive_tests)];
+        for (sum, more) in sums.into_iter().flat_map(|(sums, more)| sums.iter().zip(more)) {
+            sum.fetch_add(more.load(Relaxed), Relaxed);
         }
     }
 

@@ -7,6 +7,7 @@
 use crate::geometry::Triangle;
 use crate::traverse::{Counts, Link, Observer, PreparedTriangle};
 use crate::tree::{Node, TreeView};
+use serde::{Deserialize, Serialize};
 
 const LINE: usize = 64;
 
@@ -39,7 +40,7 @@ impl Levels {
 }
 
 /// Sums over queries.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Profile {
     /// By level, the root's first: boxes of that level tested, inner nodes of it visited, primitives in its leaves tested.
     pub levels: Vec<Counts>,

@@ -4,10 +4,11 @@
 use super::check::Verdict;
 use crate::format::rays::{Purpose, Record};
 use crate::traverse::{Counts, Decisions, Overlap};
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// How often each value occurred: exactly below 2048, to within 1/1024 above. Grows as needed, to 24,576 places at most.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Histogram {
     places: Vec<u64>,
     count: u64,
@@ -98,7 +99,7 @@ impl Costs {
 pub const GAMMA_UNITS: f64 = 16.0;
 
 /// Everything that is known of a group of queries.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Tally {
     pub queries: u64,
     /// Queries that hit something, or were occluded.
@@ -192,7 +193,7 @@ pub fn cell(record: &Record) -> Cell {
 }
 
 /// Tallies of all queries, and by each of the ways to group them.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Tallies {
     pub total: Tally,
     pub by_kind: BTreeMap<u8, Tally>,

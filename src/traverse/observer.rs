@@ -3,6 +3,7 @@
 use super::Hit;
 use super::form::Link;
 use super::triangle::PreparedTriangle;
+use serde::{Deserialize, Serialize};
 
 /// Told of each step of a traversal, in order. `()` ignores all of it.
 pub trait Observer {
@@ -60,7 +61,7 @@ impl Observer for () {
 }
 
 /// What a query cost, in the words of the design.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counts {
     /// Boxes tested, the root's included.
     pub box_tests: u64,

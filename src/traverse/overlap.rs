@@ -4,6 +4,7 @@
 use super::form::{Form, Link, Stack};
 use super::ray::PreparedRay;
 use super::simd::Machine;
+use serde::{Deserialize, Serialize};
 
 /// Told of every node whose box the segment overlaps.
 pub trait Overlapped {
@@ -12,7 +13,7 @@ pub trait Overlapped {
 }
 
 /// What a strict front-to-back traversal of one segment needs: the terms of T_R and Γ_R.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Overlap {
     /// Inner nodes overlapped: Σ P_R(b), this query's share of T_R.
     pub inner: u64,

@@ -2,6 +2,7 @@
 
 use crate::geometry::{Ray, Vec3};
 use bytemuck::{Pod, Zeroable};
+use serde::{Deserialize, Serialize};
 
 /// No triangle: a miss, or a hit of something that is not a triangle.
 pub const NO_TRIANGLE: u32 = u32::MAX;
@@ -27,7 +28,7 @@ pub mod flag {
 }
 
 /// Why a renderer asked ([`Record::purpose`]).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum Purpose {
     Unknown = 0,

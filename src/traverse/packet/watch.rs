@@ -1,6 +1,7 @@
 //! Who watches a packet: what each ray was tested for, and which rule decided.
 
 use super::super::observer::Counts;
+use serde::{Deserialize, Serialize};
 
 /// How it was decided whether a packet enters a box.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -46,7 +47,7 @@ impl PacketObserver for () {
 }
 
 /// Boxes by the rule that decided whether a packet enters them; summed over packets.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Decisions {
     pub early_hits: u64,
     pub early_misses: u64,
