@@ -10,6 +10,7 @@ use clap::{Command, Parser, ValueEnum};
 use std::ffi::OsString;
 use std::fmt;
 use std::io;
+use std::path::Path;
 use std::process::ExitCode;
 
 /// How a command ended, when it could do its work.
@@ -32,6 +33,12 @@ pub struct Failure {
 impl Failure {
     pub fn new(line: impl fmt::Display) -> Failure {
         Failure { line: line.to_string(), broken_pipe: false, elsewhere: None }
+    }
+
+    /// What is wrong with a file.
+    pub fn in_file(path: &Path, error: impl std::error::Error + 'static) -> Failure {
+        let failure = Failure::from(error);
+        Failure { line: format!("{}: {}", path.display(), failure.line), ..failure }
     }
 }
 

@@ -124,6 +124,27 @@ impl Share {
     }
 }
 
+/// What a rank has of an even part, of at most `most`, of a list of `all` elements. `own` is its piece, with `before` elements before it.
+pub fn even_part<T: Clone>(own: &[T], before: usize, all: usize, most: usize) -> Vec<T> {
+    if all <= most {
+        return own.to_vec();
+    }
+    if most == 0 {
+        return Vec::new();
+    }
+    let divided = |a: usize, b: usize, by: usize| match (a as u64).checked_mul(b as u64) {
+        Some(product) => (product / by as u64) as usize,
+        None => (a as u128 * b as u128 / by as u128) as usize,
+    };
+    // Where the element with this number in the part stands, and the first number whose place is not before `at`.
+    let place = |number: usize| divided(number, all, most);
+    let first = |at: usize| {
+        let number = divided(at, most, all);
+        if place(number) < at { number + 1 } else { number }
+    };
+    (first(before)..first(before + own.len())).map(|number| own[place(number) - before].clone()).collect()
+}
+
 /// Another rank has failed, and this one's work is for nothing.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("rank {rank}: {line}")]
@@ -330,6 +351,24 @@ mod tests {
             assert_eq!((&in_turn, &pieces), (&all, &all));
             assert!(shares.iter().all(|share| share.piece(chunks).len() <= chunks.div_ceil(count)));
         }
+    }
+
+    #[test]
+    fn pieces_of_even_parts_are_the_even_part() {
+        for (all, most) in [(10, 10), (10, 3), (1000, 999), (1000, 7), (7, 1), (3, 5)] {
+            let list: Vec<usize> = (0..all).collect();
+            let kept = all.min(most);
+            assert!(even_part(&list, 0, all, 0).is_empty());
+            let whole: Vec<usize> = (0..kept).map(|number| number * all / kept).collect();
+            assert_eq!(even_part(&list, 0, all, most), whole);
+            for cut in 0..=all {
+                let (a, b) = list.split_at(cut);
+                assert_eq!([even_part(a, 0, all, most), even_part(b, cut, all, most)].concat(), whole);
+            }
+        }
+        // Beyond 64 bits in between.
+        let all = 1 << 40;
+        assert_eq!(even_part(&[1, 2, 3, 4], all - 4, all, all / 2), [1, 3]);
     }
 
     #[test]

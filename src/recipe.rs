@@ -16,6 +16,7 @@ use crate::probability::area::Area;
 use crate::probability::blend::{Blend, WeightError};
 use crate::probability::rays::{Count, RaySet, Rays};
 use crate::progress::Progress;
+use crate::ranks::{Alone, Ranks};
 use crate::tree::Tree;
 use crate::tree::leaves::merge_leaves;
 use serde_json::{Value, json};
@@ -83,6 +84,8 @@ pub enum RecipeError {
         "the heuristic {0} needs training queries, and there are none: give a recording with --rays, or use --heuristic sah"
     )]
     NoRays(&'static str),
+    #[error("optimisers need all training queries in one process: leave out --optimize, or --mpi")]
+    SharedRays,
 }
 
 impl Recipe {
@@ -112,13 +115,33 @@ impl Recipe {
         rays: &[Ray],
         progress: &Progress,
     ) -> Result<Made, RecipeError> {
+        self.make_on_ranks(triangles, rays, &Alone, progress)
+    }
+
+    /// Makes the tree as [`Self::make`] does where each of `ranks` has a part of the training queries ([`crate::training::Segments`]). Each gets the tree,
+    /// which is the one that a single process would make. With more than one rank, the current rayon pool has one thread.
+    ///
+    /// # Errors
+    /// As [`Self::make`], and when queries that several ranks have are to be used by an optimiser.
+    pub fn make_on_ranks(
+        &self,
+        triangles: &[Triangle],
+        rays: &[Ray],
+        ranks: &dyn Ranks,
+        progress: &Progress,
+    ) -> Result<Made, RecipeError> {
         let started = Instant::now();
         self.check()?;
         if triangles.len() > builder::MAX_TRIANGLES {
             return Err(BuildError::TooManyTriangles(triangles.len()).into());
         }
-        if self.heuristic.needs_rays() && rays.is_empty() {
+        let mut all = [rays.len() as u64];
+        ranks.sum(&mut all);
+        if self.heuristic.needs_rays() && all == [0] {
             return Err(RecipeError::NoRays(self.heuristic.name()));
+        }
+        if self.heuristic.needs_rays() && !self.stages.is_empty() && ranks.count() > 1 {
+            return Err(RecipeError::SharedRays);
         }
         let references = References::of(triangles);
         let bounds = references.bounds;
@@ -141,14 +164,16 @@ impl Recipe {
             Heuristic::Rdh { floor } => {
                 let set = RaySet::of_rays(rays.iter().copied());
                 let count = Count { floor: floor as f32, ..Count::default() };
-                made.tree = build_with(references, &Rays::new(&set, &bounds, count), &config, progress)?;
+                made.tree =
+                    build_with(references, &Rays::shared(&set, &bounds, count, ranks), &config, progress)?;
                 // Counts alone fit the training rays too well where few of them pass.
                 Estimate::default()
             }
             Heuristic::Blend { weight } => {
                 let set = RaySet::of_rays(rays.iter().copied());
                 let blend = Blend::new(weight)?;
-                made.tree = build_with(references, &Rays::new(&set, &bounds, blend), &config, progress)?;
+                made.tree =
+                    build_with(references, &Rays::shared(&set, &bounds, blend, ranks), &config, progress)?;
                 Estimate::Blend { weight }
             }
         };

@@ -10,6 +10,7 @@ use crate::format::FormatError;
 use crate::format::bvh::Bvh;
 use crate::format::rays::{Chunk, Rays, Reject, flag};
 use crate::geometry::Ray;
+use crate::ranks::{RankFailed, Ranks, Share, even_part, gather_all};
 use crate::replay::select::{Filter, Portion};
 use thiserror::Error;
 
@@ -34,17 +35,20 @@ pub enum TrainingError {
     NoQueries(u64),
     #[error(transparent)]
     Format(#[from] FormatError),
+    #[error("{0}")]
+    Rank(#[from] RankFailed),
 }
 
 impl Selection {
-    /// The effective segments of the chosen queries, in the order of the file.
+    /// The effective segments of the chosen queries, in the order of the file. Each of `ranks` gets a part of them: the parts one after
+    /// another, in the order of ranks, are what one process would get.
     ///
     /// # Errors
-    /// When the recording is of another scene than `bvh`, a chunk is damaged, or no query is left.
-    pub fn read(&self, rays: &Rays, bvh: &Bvh) -> Result<Vec<Ray>, TrainingError> {
+    /// When the recording is of another scene than `bvh`, a chunk is damaged, no query is left, or another rank fails.
+    pub fn read(&self, rays: &Rays, bvh: &Bvh, ranks: &dyn Ranks) -> Result<Segments, TrainingError> {
         same_scene(rays, bvh)?;
         let firsts = rays.first_queries();
-        let chosen = rays.map_chunks(|index, chunk| {
+        let chosen = rays.map_chunks_of(Share::of(ranks).piece(rays.chunks().len()), |index, chunk| {
             if chunk.info.scene != self.scene {
                 return Vec::new();
             }
@@ -54,12 +58,23 @@ impl Selection {
             });
             taken.map(|(record, _)| record.effective_segment()).collect::<Vec<Ray>>()
         })?;
-        let chosen: Vec<Ray> = chosen.concat();
-        if chosen.is_empty() {
+        let own: Vec<Ray> = chosen.concat();
+        let lengths = gather_all(ranks, own.len())?;
+        let (before, all) = (lengths[..ranks.rank()].iter().sum(), lengths.iter().sum());
+        if all == 0 {
             return Err(TrainingError::NoQueries(rays.query_count()));
         }
-        Ok(even(&chosen, self.most))
+        Ok(Segments { own: even_part(&own, before, all, self.most), all: all.min(self.most) })
     }
+}
+
+/// Training queries as effective segments.
+#[derive(Clone, Debug, Default)]
+pub struct Segments {
+    /// Those of this rank.
+    pub own: Vec<Ray>,
+    /// How many all ranks have.
+    pub all: usize,
 }
 
 /// Leaves an even part of at most `most`.
@@ -79,10 +94,7 @@ fn thin<T>(queries: &mut Vec<T>, most: usize) {
 
 /// At most `most` of `all`, evenly chosen.
 pub(crate) fn even<T: Clone>(all: &[T], most: usize) -> Vec<T> {
-    if all.len() <= most {
-        return all.to_vec();
-    }
-    (0..most).map(|index| all[(index as u128 * all.len() as u128 / most as u128) as usize].clone()).collect()
+    even_part(all, 0, all.len(), most)
 }
 
 /// What the program refused of one record of a chunk; they are sorted by record.

@@ -2,17 +2,19 @@
 //! of spatial data structures", 2009; paper, sections 2.4 and 5).
 //!
 //! A [`RaySet`] holds the effective segments, ready for box tests. [`Rays`] is the [`Probability`]: each node's state is
-//! the list of rays that overlap its box, handed down and thinned at each split; candidates are counted by `nested`
-//! and the list is divided by `thin`; both test boxes with `block`.
+//! the list of rays that overlap its box (`listed`), handed down and thinned at each split; candidates are counted by `nested`
+//! and the list is divided by `thin`; both test boxes with `block`. Where several processes have the rays, each counts its own,
+//! and the counts are added up.
 //! What P makes of a count is a [`Measure`]: [`Count`] here, [`super::blend::Blend`] or
 //! [`super::shrunk::Shrunk`].
 //!
 //! At nodes with very many rays an even part of them is counted: it says as well which candidate is the best. The lists are
 //! always complete.
 //!
-//! Counts are whole numbers, so neither their order nor the number of threads can change a tree.
+//! Counts are whole numbers, so neither their order nor the number of threads or processes can change a tree.
 
 mod block;
+mod listed;
 mod nested;
 mod segment;
 mod thin;
@@ -22,6 +24,8 @@ use super::{Cuts, Probability, Scores, Side};
 use crate::format::rays::Record;
 use crate::geometry::Ray;
 use crate::geometry::padded::PaddedAabb;
+use crate::ranks::{Alone, Ranks};
+use listed::Listed;
 use nested::{Nested, SEQUENCES, with_nested};
 use rayon::prelude::*;
 use segment::Packed;
@@ -117,40 +121,48 @@ impl Measure for Count {
 }
 
 /// A probability from recorded rays.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Rays<'a, M> {
     set: &'a RaySet,
     area: Area,
     measure: M,
+    ranks: &'a dyn Ranks,
 }
 
 impl<'a, M: Measure> Rays<'a, M> {
     /// The measure for boxes inside `scene`.
     pub fn new(set: &'a RaySet, scene: &PaddedAabb, measure: M) -> Rays<'a, M> {
-        Rays { set, area: Area::of_scene(scene), measure }
+        Rays::shared(set, scene, measure, &Alone)
     }
 
-    fn state(&self, rays: Vec<u32>, bounds: &PaddedAabb) -> NodeRays<M::Terms> {
+    /// The same where each of `ranks` has a part of the rays: the sets one after another, in the order of ranks, are the whole.
+    ///
+    /// A question is a call that all ranks make together, so they have to build the same tree in the same order: with one thread each.
+    pub fn shared(set: &'a RaySet, scene: &PaddedAabb, measure: M, ranks: &'a dyn Ranks) -> Rays<'a, M> {
+        Rays { set, area: Area::of_scene(scene), measure, ranks }
+    }
+
+    fn state(&self, rays: Listed, bounds: &PaddedAabb) -> NodeRays<M::Terms> {
         let area = self.area.of(bounds);
         // A node without area (a point, a line) has boxes without area.
         let per_area = if area > 0.0 { 1.0 / area } else { 0.0 };
-        NodeRays { terms: self.measure.terms(rays.len()), rays, per_area }
+        NodeRays { terms: self.measure.terms(rays.all()), rays, per_area }
     }
 }
 
 /// The rays that overlap a node.
 #[derive(Debug)]
 pub struct NodeRays<T> {
-    rays: Vec<u32>,
+    rays: Listed,
     terms: T,
     /// 1 / area of the node, or 0.
     per_area: f32,
 }
 
 impl<T> NodeRays<T> {
-    /// How many there are.
+    /// How many there are, on all ranks.
     pub fn count(&self) -> usize {
-        self.rays.len()
+        self.rays.all()
     }
 }
 
@@ -162,18 +174,19 @@ impl<M: Measure> Probability for Rays<'_, M> {
         let segments = &self.set.segments;
         let rays =
             all.into_par_iter().filter(|&ray| segments[ray as usize].segment().overlaps(bounds)).collect();
+        let [rays] = Listed::share([rays], segments, self.ranks);
         self.state(rays, bounds)
     }
 
     fn node(&self, state: &Self::State, bounds: &PaddedAabb) -> f32 {
         let area = self.area.of(bounds) * state.per_area;
-        self.measure.value(&state.terms, state.rays.len() as f32, area)
+        self.measure.value(&state.terms, state.rays.all() as f32, area)
     }
 
     fn score<C: Cuts>(&self, state: &Self::State, free: usize, cuts: &[C], scores: &mut [Scores]) {
         let NodeRays { rays, terms, per_area } = state;
         let area = |side: &Side| self.area.of(&side.bounds) * per_area;
-        if rays.is_empty() {
+        if rays.all() == 0 {
             for (cuts, scores) in cuts.iter().zip(scores) {
                 let left = scores.left.iter_mut().zip(cuts.left());
                 let right = scores.right.iter_mut().rev().zip(cuts.right());
@@ -182,11 +195,14 @@ impl<M: Measure> Probability for Rays<'_, M> {
             }
             return;
         }
-        let part = self.part(rays);
+        // Of more rays than are counted, an even part.
+        let most = self.measure.most_counted();
+        let part = (rays.all() > most).then(|| rays.even_part(most));
         let (counted, worth) = match &part {
-            Some(part) => (&part[..], (rays.len() as f64 / part.len() as f64) as f32),
-            None => (&rays[..], 1.0),
+            Some(part) => (&part[..], (rays.all() as f64 / most as f64) as f32),
+            None => (&rays.own[..], 1.0),
         };
+        let segments = rays.segments(&self.set.segments);
         for (cuts, scores) in cuts.chunks(SEQUENCES / 2).zip(scores.chunks_mut(SEQUENCES / 2)) {
             with_nested(|nested: &mut Nested| {
                 nested.start(cuts.iter().map(|cuts| 2 * cuts.candidates()).sum());
@@ -201,12 +217,19 @@ impl<M: Measure> Probability for Rays<'_, M> {
                     nested.add(cuts.left(), free, |side| note(left.next(), side));
                     nested.add(cuts.right(), free, |side| note(right.next(), side));
                 }
-                let mut counts = nested.count(&self.set.segments, counted);
-                for scores in scores {
-                    let sides = scores.left.iter_mut().chain(scores.right.iter_mut().rev());
-                    for (score, count) in sides.zip(&mut counts) {
-                        *score = self.measure.value(terms, worth * count as f32, *score);
-                    }
+                let counts = nested.count(segments, counted);
+                let sides = scores
+                    .iter_mut()
+                    .flat_map(|scores| scores.left.iter_mut().chain(scores.right.iter_mut().rev()));
+                let value = |(score, count): (&mut f32, f32)| {
+                    *score = self.measure.value(terms, worth * count, *score);
+                };
+                if rays.is_shared {
+                    let mut sums: Vec<u64> = counts.map(u64::from).collect();
+                    self.ranks.sum(&mut sums);
+                    sides.zip(sums.into_iter().map(|count| count as f32)).for_each(value);
+                } else {
+                    sides.zip(counts.map(|count| count as f32)).for_each(value);
                 }
             });
         }
@@ -214,20 +237,13 @@ impl<M: Measure> Probability for Rays<'_, M> {
 
     fn split(&self, state: Self::State, children: [Option<&PaddedAabb>; 2]) -> [Self::State; 2] {
         let boxes = children.map(|bounds| bounds.unwrap_or(&PaddedAabb::EMPTY));
-        let [left, right] = if state.rays.is_empty() || children == [None; 2] {
-            [Vec::new(), Vec::new()]
+        let rays = &state.rays;
+        let [left, right] = if rays.all() == 0 || children == [None; 2] {
+            [0; 2].map(|_| Listed::alone(Vec::new()))
         } else {
-            thin::divide(&self.set.segments, &state.rays, boxes)
+            let divided = thin::divide(rays.segments(&self.set.segments), &rays.own, boxes);
+            rays.children(divided, &self.set.segments, self.ranks)
         };
         [self.state(left, boxes[0]), self.state(right, boxes[1])]
-    }
-}
-
-impl<M: Measure> Rays<'_, M> {
-    /// An even part of `rays`, when there are more than are counted.
-    fn part(&self, rays: &[u32]) -> Option<Vec<u32>> {
-        let most = self.measure.most_counted();
-        let place = |index: usize| (index as u64 * rays.len() as u64 / most as u64) as usize;
-        (rays.len() > most).then(|| (0..most).map(|index| rays[place(index)]).collect())
     }
 }

@@ -33,6 +33,7 @@ Examples:
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --filter kind=closest --train 0.1
   bvh-build embBuilt.bvh ours.bvh --splits sweep --width 8 --max-leaf 8    up to eight children a node
   bvh-build embBuilt.bvh same.bvh --binary                                 Embree's own tree, made binary
+  mpirun -n 4 bvh-build --mpi embBuilt.bvh ours.bvh --rays embCasts.rays --train-limit 1000000000
   bvh-build 0001.bvh next.bvh --update rotate ours.bvh --limit 1.2         ours, of 0000.bvh, for the next frame
 
 Exit codes: 0 good, 2 bad input or usage."
@@ -125,6 +126,10 @@ pub struct Arguments {
     /// Threads to build with; 0 is one per processor
     #[arg(long, default_value_t = 0, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=1024))]
     pub threads: u16,
+    /// Share the training queries with the other processes that mpirun started, each of which counts its own with one thread; the first
+    /// writes the tree that one process would build
+    #[arg(long, requires = "rays", conflicts_with_all = ["optimize", "order", "width", "update", "binary", "threads"])]
+    pub mpi: bool,
     /// How to print what was built
     #[arg(long, value_enum, default_value_t = TextOrJson::Text)]
     pub format: TextOrJson,

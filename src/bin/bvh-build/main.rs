@@ -11,9 +11,10 @@ use embree_trace::cli::{self, Failure, Outcome};
 use embree_trace::files::{MappedFile, OutputFile};
 use embree_trace::format::bvh::{self, Bvh, Contents, flag};
 use embree_trace::format::rays::Rays;
-use embree_trace::geometry::Ray;
 use embree_trace::progress::Progress;
+use embree_trace::ranks::{Ranks, gather_all};
 use embree_trace::recipe::{Made, Recipe, RecipeError, auto, wide};
+use embree_trace::training::Segments;
 use embree_trace::training::occlusions::{self, Occlusions};
 use embree_trace::training::queries::{self, Query};
 use embree_trace::traverse::Prepared;
@@ -27,7 +28,7 @@ use std::time::{Duration, Instant};
 /// What a recording gives: effective segments, the queries whole for auto, occlusion queries for an order.
 #[derive(Default)]
 struct Training {
-    segments: Vec<Ray>,
+    segments: Segments,
     queries: Vec<Query>,
     occlusions: Occlusions,
 }
@@ -37,10 +38,10 @@ const BUDGET: Duration = Duration::from_secs(30);
 
 fn main() -> ExitCode {
     let arguments: Arguments = cli::parse("bvh-build", std::env::args_os());
-    cli::run("bvh-build", || run(&arguments))
+    cli::run_on_ranks("bvh-build", arguments.mpi, |ranks| run(&arguments, ranks))
 }
 
-fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
+fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
     if let Some(follow) = arguments.follow()? {
         return update::run(arguments, &follow);
     }
@@ -56,25 +57,31 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     if arguments.is_auto() && !arguments.optimize.is_empty() {
         return Err(Failure::new("--heuristic auto chooses the optimisers itself: leave out --optimize"));
     }
-    let in_input =
-        |error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", arguments.input.display()));
+    if arguments.is_auto() && arguments.mpi {
+        return Err(Failure::new("--heuristic auto needs all queries in one process: leave out --mpi"));
+    }
     let bytes = MappedFile::open(&arguments.input)?;
-    let before = Bvh::parse(&bytes).map_err(|error| in_input(&error))?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(arguments.threads.into()).build()?;
-    let training = pool.install(|| arguments.training(&before))?;
-    let training_queries = training.segments.len();
-    let output = OutputFile::create(&arguments.output)?;
+    let before = Bvh::parse(&bytes).map_err(|error| Failure::in_file(&arguments.input, error))?;
+    // Ranks that ask each other have to ask in the same order.
+    let threads = if arguments.mpi { 1 } else { arguments.threads.into() };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
+    let training = pool.install(|| arguments.training(&before, ranks))?;
+    let training_queries = training.segments.all;
+    let output = (ranks.rank() == 0).then(|| OutputFile::create(&arguments.output)).transpose()?;
+    // Nobody builds when the first cannot write.
+    gather_all(ranks, ())?;
 
     let started = Instant::now();
     let (recipe, made, auto) = if arguments.binary {
         (asked, Made { tree: collapse::binary(before.tree, before.triangles), optimized: None }, None)
     } else {
-        pool.install(|| arguments.make(&before, &training)).map_err(|error| in_input(&error))?
+        pool.install(|| arguments.make(&before, &training, ranks))
+            .map_err(|error| Failure::in_file(&arguments.input, error))?
     };
     let Made { mut tree, optimized } = made;
     if let Some(width) = arguments.width {
         let config = arguments.collapsing(width);
-        tree = wide::collapsed(&tree, before.triangles, &training.segments, arguments.weight, &config)?;
+        tree = wide::collapsed(&tree, before.triangles, &training.segments.own, arguments.weight, &config)?;
     }
     let seconds = started.elapsed().as_secs_f64();
 
@@ -116,6 +123,7 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         flags: before.header.flags & kept | if is_cut { flag::SPATIAL_SPLITS } else { 0 },
         producer: &producer,
     };
+    let Some(output) = output else { return Ok(Outcome::Good) };
     output.commit_with(|out| bvh::write(out, &contents))?;
 
     let mut report = json!({
@@ -141,27 +149,35 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
 
 impl Arguments {
     /// What the tree is made from: nothing without a recording.
-    fn training(&self, bvh: &Bvh) -> Result<Training, Failure> {
+    fn training(&self, bvh: &Bvh, ranks: &dyn Ranks) -> Result<Training, Failure> {
         let Some(path) = &self.rays else { return Ok(Default::default()) };
-        let at = |error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", path.display()));
         let bytes = MappedFile::open(path)?;
-        let rays = Rays::parse(&bytes).map_err(|error| at(&error))?;
+        let rays = Rays::parse(&bytes).map_err(|error| Failure::in_file(path, error))?;
         let selection = self.selection();
         let mut training = Training::default();
         if self.is_auto() {
-            training.queries = queries::read(&selection, &rays, bvh).map_err(|error| at(&error))?;
-            training.segments = training.queries.iter().map(|query| query.segment).collect();
+            training.queries =
+                queries::read(&selection, &rays, bvh).map_err(|error| Failure::in_file(path, error))?;
+            let own: Vec<_> = training.queries.iter().map(|query| query.segment).collect();
+            training.segments = Segments { all: own.len(), own };
         } else {
-            training.segments = selection.read(&rays, bvh).map_err(|error| at(&error))?;
+            training.segments =
+                selection.read(&rays, bvh, ranks).map_err(|error| Failure::in_file(path, error))?;
         }
         if self.order || self.is_auto() {
-            training.occlusions = occlusions::read(&selection, &rays, bvh).map_err(|error| at(&error))?;
+            training.occlusions =
+                occlusions::read(&selection, &rays, bvh).map_err(|error| Failure::in_file(path, error))?;
         }
         Ok(training)
     }
 
     /// Makes the tree, and says what auto tried.
-    fn make(&self, bvh: &Bvh, training: &Training) -> Result<(Recipe, Made, Option<Value>), RecipeError> {
+    fn make(
+        &self,
+        bvh: &Bvh,
+        training: &Training,
+        ranks: &dyn Ranks,
+    ) -> Result<(Recipe, Made, Option<Value>), RecipeError> {
         let recipe = self.recipe();
         if self.is_auto() {
             let scene = auto::Scene { triangles: bvh.triangles, geometries: bvh.geometries };
@@ -178,8 +194,8 @@ impl Arguments {
             return Ok((chosen.recipe, chosen.made, Some(report)));
         }
         let steps = (bvh.triangles.len() + recipe.stages.len()) as u64;
-        let progress = Progress::new("building", steps);
-        let made = recipe.make(bvh.triangles, &training.segments, &progress)?;
+        let progress = if ranks.rank() == 0 { Progress::new("building", steps) } else { Progress::hidden() };
+        let made = recipe.make_on_ranks(bvh.triangles, &training.segments.own, ranks, &progress)?;
         Ok((recipe, made, None))
     }
 }

@@ -7,6 +7,7 @@ use embree_trace::files::{MappedFile, OutputFile};
 use embree_trace::format::bvh::{self, Bvh, Contents, flag};
 use embree_trace::format::rays::Rays;
 use embree_trace::geometry::Ray;
+use embree_trace::ranks::Alone;
 use embree_trace::recipe::{Heuristic, Recipe};
 use embree_trace::update::Moving;
 use embree_trace::update::policy::{Policy, State};
@@ -89,5 +90,5 @@ fn segments(arguments: &Arguments, previous: &Bvh) -> Result<Vec<Ray>, Failure> 
     let at = |error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", path.display()));
     let bytes = MappedFile::open(path)?;
     let rays = Rays::parse(&bytes).map_err(|error| at(&error))?;
-    arguments.selection().read(&rays, previous).map_err(|error| at(&error))
+    Ok(arguments.selection().read(&rays, previous, &Alone).map_err(|error| at(&error))?.own)
 }

@@ -12,6 +12,7 @@ use nom::number::complete::{le_u32, le_u64};
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::hash::Hasher;
+use std::ops::Range;
 
 /// Bytes hashed before their records are checked: they stay in the first cache between the two.
 const PIECE: usize = 16 << 10;
@@ -115,10 +116,20 @@ impl<'a> Rays<'a> {
         T: Send,
         F: Fn(usize, Chunk<'a>) -> T + Sync,
     {
-        let results: Vec<Result<T, FormatError>> = (0..self.chunks.len())
-            .into_par_iter()
-            .map(|index| self.chunk(index).map(|chunk| work(index, chunk)))
-            .collect();
+        self.map_chunks_of(0..self.chunks.len(), work)
+    }
+
+    /// The same for some of the chunks.
+    ///
+    /// # Errors
+    /// That of the first of them, in file order, that is damaged.
+    pub fn map_chunks_of<T, F>(&self, chunks: Range<usize>, work: F) -> Result<Vec<T>, FormatError>
+    where
+        T: Send,
+        F: Fn(usize, Chunk<'a>) -> T + Sync,
+    {
+        let results: Vec<Result<T, FormatError>> =
+            chunks.into_par_iter().map(|index| self.chunk(index).map(|chunk| work(index, chunk))).collect();
         results.into_iter().collect()
     }
 

@@ -3,6 +3,7 @@
 use crate::geometry::Ray;
 use crate::geometry::padded::PaddedAabb;
 use crate::traverse::ray::{PADDING, PreparedRay};
+use bytemuck::{Pod, Zeroable};
 use glam::Vec4;
 
 /// How many rays of a list are asked for before their turn.
@@ -10,7 +11,7 @@ pub(super) const AHEAD: usize = 24;
 
 /// A ray over its effective segment as it is kept, 32 bytes: long lists of rays are read from memory at every node, so their
 /// size is what the time at the top of a tree depends on.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C, align(32))]
 pub struct Packed {
     origin_and_tnear: Vec4,
