@@ -240,7 +240,7 @@ pub fn tell_failure(ranks: &dyn Ranks, line: &str) -> RankFailed {
                 *failed = other;
             }
         },
-        |failed| sealed(failed),
+        sealed,
     );
     opened(&whole).err().unwrap_or(own)
 }
