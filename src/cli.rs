@@ -21,6 +21,15 @@ pub enum Outcome {
     Failed,
 }
 
+impl Outcome {
+    fn code(self) -> u8 {
+        match self {
+            Outcome::Good => 0,
+            Outcome::Failed => 1,
+        }
+    }
+}
+
 /// What went wrong, as one line. Anything that displays itself converts into it with `?`.
 #[derive(Debug)]
 pub struct Failure {
@@ -92,6 +101,11 @@ fn usage_line(text: &str) -> String {
 
 /// Runs a binary's body and turns its end into an exit code. A signal that ends it leaves no half-written output.
 pub fn run(program: &str, body: impl FnOnce() -> Result<Outcome, Failure>) -> ExitCode {
+    run_with_code(program, || body().map(Outcome::code))
+}
+
+/// Runs a body as [`run`] does that has an exit code of its own: that of a program which it started.
+pub fn run_with_code(program: &str, body: impl FnOnce() -> Result<u8, Failure>) -> ExitCode {
     signals::install(program);
     ended(program, body(), true)
 }
@@ -105,16 +119,15 @@ pub fn run_on_ranks(
 ) -> ExitCode {
     signals::install(program);
     match ranks::start(mpi) {
-        Ok(ranks) => ended(program, agreed(&*ranks, body(&*ranks)), ranks.rank() == 0),
+        Ok(ranks) => ended(program, agreed(&*ranks, body(&*ranks)).map(Outcome::code), ranks.rank() == 0),
         Err(error) => ended(program, Err(error.into()), true),
     }
 }
 
 /// The exit code, after one line where there is an error to be told.
-fn ended(program: &str, result: Result<Outcome, Failure>, tells: bool) -> ExitCode {
+fn ended(program: &str, result: Result<u8, Failure>, tells: bool) -> ExitCode {
     match result {
-        Ok(Outcome::Good) => ExitCode::SUCCESS,
-        Ok(Outcome::Failed) => ExitCode::from(1),
+        Ok(code) => ExitCode::from(code),
         Err(failure) if failure.broken_pipe => ExitCode::SUCCESS,
         Err(failure) => {
             if tells {

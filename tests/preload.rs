@@ -183,6 +183,51 @@ fn a_killed_program() {
     assert_eq!(std::fs::read_dir(run.directory.path()).unwrap().count(), 2);
 }
 
+/// A signal to the recorder alone ends the recording, whose files are complete, and nothing else: the program runs on.
+#[test]
+fn a_recording_that_is_ended() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = |name: &str| directory.path().join(name);
+    let said = std::fs::File::create(path("said")).unwrap();
+    // It asks, waits until it may go on, and says that it has.
+    let program = r#""$0" plain > seen; touch asked; while [ ! -e go ]; do sleep 0.02; done; touch finished"#;
+    let mut recorder = Command::new(env!("CARGO_BIN_EXE_embree-trace"))
+        .args(["record", "--savetrace", "casts.rays", "built.bvh", "--", "sh", "-c", program])
+        .arg(host())
+        .current_dir(directory.path())
+        .stderr(said)
+        .spawn()
+        .unwrap();
+    let wait_for = |name: &str| {
+        for _ in 0..3000 {
+            if path(name).exists() {
+                return;
+            }
+            std::thread::sleep(std::time::Duration::from_millis(10));
+        }
+        panic!("{name} did not come");
+    };
+    wait_for("asked");
+    // SAFETY: sends a signal to a child that has not been waited for.
+    unsafe { libc::kill(recorder.id() as i32, libc::SIGTERM) };
+    let status = recorder.wait().unwrap();
+    let names: Vec<String> = std::fs::read_dir(directory.path())
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .filter(|name| name.contains("casts") || name.contains("built"))
+        .collect();
+    std::fs::write(path("go"), "").unwrap();
+    wait_for("finished");
+    let stderr = std::fs::read(path("said")).unwrap();
+    let seen = std::fs::read(path("seen")).unwrap();
+    let run = Run { directory, output: std::process::Output { status, stdout: seen, stderr } };
+    assert_eq!(run.output.status.code(), Some(128 + 15), "{}", run.said());
+    assert!(run.said().contains("the recording was ended by signal 15"), "{}", run.said());
+    assert_eq!(names.len(), 2, "{names:?}");
+    assert_eq!(run.replayed().queries, 8000);
+    assert!(run.seen()[&0] == lines(&run.output.stdout));
+}
+
 /// Parts of a recording are those of the whole.
 #[test]
 fn parts_can_be_chosen() {

@@ -10,6 +10,7 @@
 
 mod capture;
 mod collect;
+mod ending;
 mod exchange;
 mod flatten;
 pub mod purpose;
@@ -74,11 +75,13 @@ pub enum ProgramError {
     Scene { path: String, records: u64, source: FileError },
 }
 
-/// Runs the program to its end and records what it asks Embree.
+/// Runs the program to its end and records what it asks Embree. SIGTERM and SIGHUP end the recording, whose files are then as complete as any, and
+/// leave the program alone.
 ///
 /// # Errors
 /// When it cannot be run, or a file cannot be written. Also then the program runs to its end.
 pub fn record(options: &Options) -> Result<Report, ProgramError> {
+    ending::note_signals();
     let out = files::create(&options.rays)?;
     let directory = Directory::beside(&options.rays)?;
     let exchange = Exchange::new(&directory.0).map_err(ProgramError::Exchange)?;
@@ -105,11 +108,14 @@ pub fn record(options: &Options) -> Result<Report, ProgramError> {
         Collector::new(target, out, selector).map_err(|error| failed(0, CollectError::Rays(error)))?;
 
     let mut child = start(options, &exchange, &library)?;
-    let status = match collect(&mut child, &mut collector, &exchange) {
-        Ok(status) => status,
+    let end = match collect(&mut child, &mut collector, &exchange) {
+        Ok(end) => end,
         Err(error) => {
             exchange.stop();
-            let _ = child.wait();
+            // The program runs on to its end; what it says comes before what we say.
+            while matches!(child.try_wait(), Ok(None)) && ending::signal().is_none() {
+                std::thread::sleep(PAUSE);
+            }
             return Err(failed(collector.totals().records, error));
         }
     };
@@ -117,7 +123,7 @@ pub fn record(options: &Options) -> Result<Report, ProgramError> {
     let (totals, scenes, seen) = collector.finish(&exchange).map_err(|error| failed(records, error))?;
     let counters = exchange.counters();
     let mut report = Report {
-        status: exit_code(status),
+        status: end.exit_code(),
         rays: options.rays.display().to_string(),
         bytes: totals.bytes,
         seen,
@@ -128,11 +134,7 @@ pub fn record(options: &Options) -> Result<Report, ProgramError> {
         scenes,
         warnings: Vec::new(),
     };
-    if let Some(signal) = status.signal() {
-        report.warnings.push(format!(
-            "the program was ended by signal {signal}; what it had asked until then is recorded"
-        ));
-    }
+    report.warnings.extend(end.warning());
     for scene in &report.scenes {
         let named = |warning: &String| format!("scene {}: {warning}", scene.number);
         report.warnings.extend(scene.warnings.iter().map(named));
@@ -170,26 +172,48 @@ fn start(options: &Options, exchange: &Exchange, library: &File) -> Result<Child
     Ok(child)
 }
 
-/// Empties the slots until the program ends.
-fn collect(
-    child: &mut Child,
-    collector: &mut Collector,
-    exchange: &Exchange,
-) -> Result<ExitStatus, CollectError> {
+/// Why there is nothing more to record.
+enum End {
+    Program(ExitStatus),
+    /// This process was sent a signal; the program runs on.
+    Signal(i32),
+}
+
+impl End {
+    /// As a shell says it.
+    fn exit_code(&self) -> i32 {
+        match self {
+            End::Program(status) => status.code().unwrap_or_else(|| 128 + status.signal().unwrap_or(0)),
+            End::Signal(signal) => 128 + signal,
+        }
+    }
+
+    fn warning(&self) -> Option<String> {
+        match self {
+            End::Program(status) => status.signal().map(|signal| {
+                format!("the program was ended by signal {signal}; what it had asked until then is recorded")
+            }),
+            End::Signal(signal) => Some(format!(
+                "the recording was ended by signal {signal}; the program runs on, and what it had asked until then is recorded"
+            )),
+        }
+    }
+}
+
+/// Empties the slots until the program or a signal ends that.
+fn collect(child: &mut Child, collector: &mut Collector, exchange: &Exchange) -> Result<End, CollectError> {
     loop {
         let busy = collector.step(exchange)?;
         if let Some(status) = child.try_wait().map_err(CollectError::Rays)? {
-            return Ok(status);
+            return Ok(End::Program(status));
+        }
+        if let Some(signal) = ending::signal() {
+            return Ok(End::Signal(signal));
         }
         if !busy {
             std::thread::sleep(PAUSE);
         }
     }
-}
-
-/// As a shell says it.
-fn exit_code(status: ExitStatus) -> i32 {
-    status.code().unwrap_or_else(|| 128 + status.signal().unwrap_or(0))
 }
 
 /// Where the program puts its scenes: beside the recording, for that is where room for them is; removed at the end.

@@ -1,7 +1,9 @@
 // A program that uses Embree in every way that the preload library decorates, for tests/preload.rs: it prints what Embree
 // answered, one line per query, and knows nothing of being recorded.
 #include <embree3/rtcore.h>
+#include <fcntl.h>
 #include <signal.h>
+#include <sys/mman.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -345,6 +347,31 @@ void busy(RTCScene shared, RTCScene child, RTCIntersectContext context, const st
   std::printf("%u hits\n", hits.load());
 }
 
+// 8 threads ask until the process is ended, and count in a file what was answered, each in a number of its own: what has been counted is in the
+// file however the process ends. For tools/faults.
+void count(RTCScene scene, RTCIntersectContext context, const std::vector<RTCRayHit>& rays, const char* path) {
+  constexpr std::size_t bytes = 8 * sizeof(std::uint64_t);
+  const int file = open(path, O_RDWR | O_CREAT, 0666);
+  void* memory = file < 0 || ftruncate(file, bytes) != 0 ? MAP_FAILED : mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+  if (memory == MAP_FAILED) std::exit(3);
+  std::vector<std::thread> threads;
+  for (int number = 0; number < 8; number++) {
+    threads.emplace_back([&, answered = static_cast<std::uint64_t*>(memory) + number] {
+      RTCIntersectContext own = context;
+      for (;;) {
+        for (std::size_t index = 0; index < rays.size(); index++) {
+          RTCRayHit ray = rays[index];
+          rtcIntersect1(scene, &own, &ray);
+          __atomic_fetch_add(answered, 1, __ATOMIC_RELEASE);
+          // Half a million queries a second, not more than a disk takes.
+          if (index % 64 == 0) usleep(1000);
+        }
+      }
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+}
+
 // Misuses Embree so that what the recorder does with it is a defect, which a sanitizer must see: then this does not end.
 void defect(RTCScene scene, RTCIntersectContext* context, const std::string& kind) {
   if (kind == "defect-address") {
@@ -471,6 +498,8 @@ int main(int, char** arguments) {
   } else if (what == "busy") {
     rays.resize(500);
     busy(scene, child, context, rays);
+  } else if (what == "count") {
+    count(scene, context, rays, arguments[2]);
   } else if (what.find("defect-") == 0) {
     defect(scene, &context, what);
   } else if (what == "fork") {

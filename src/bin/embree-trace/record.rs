@@ -27,7 +27,9 @@ Examples:
 Each committed scene that is asked something is a scene of the recording, and gets a tree of its own: built.bvh,
 built.1.bvh, …; bvh-compare --scene N replays the queries of one.
 
-Exit code: the program's own, 128 and the signal when it was killed; 2 when there is no recording.";
+SIGTERM or SIGHUP ends the recording, which is complete then, and not the program; an interrupt is the program's.
+
+Exit code: the program's own, 128 and the signal when it or the recording was ended by one; 2 when there is no recording.";
 
 /// Runs a program that uses Embree 3 or 4 and records every query that it asks, with its answer, and every tree that it asks.
 #[derive(Parser)]
@@ -90,10 +92,7 @@ pub fn command() -> Command {
 pub fn main(mut words: Vec<OsString>) -> ExitCode {
     words.remove(1);
     let arguments = cli::parse("embree-trace record", words);
-    match run(arguments) {
-        Ok(code) => ExitCode::from(code),
-        Err(failure) => cli::run("embree-trace record", || Err(failure)),
-    }
+    cli::run_with_code("embree-trace record", || run(arguments))
 }
 
 fn run(arguments: Arguments) -> Result<u8, Failure> {
