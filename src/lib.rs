@@ -56,3 +56,4 @@ pub mod tree;
 pub mod update;
 #[cfg(feature = "viewer")]
 pub mod view;
+mod zeroed;

@@ -22,6 +22,7 @@ use crate::geometry::padded::PaddedAabb;
 use crate::probability::{Probability, Side};
 use crate::progress::Progress;
 use crate::tree::{Node, Tree};
+use crate::zeroed::zeroed_vec;
 
 /// Subtrees with fewer primitives are built by one thread.
 const SEQUENTIAL: usize = 1 << 12;
@@ -110,7 +111,7 @@ impl<P: Probability, W: Weight> Builder<'_, P, W> {
         match self.config.splits {
             Splits::Binned { bins } => {
                 // Zeroed by the system, page by page when it is first touched, on the thread that does.
-                let mut spare: Vec<Reference> = bytemuck::zeroed_vec(list.len());
+                let mut spare: Vec<Reference> = zeroed_vec(list.len());
                 self.root(BinnedReferences::new(&mut list, &mut spare, half_unit, bins), bounds)
             }
             Splits::Sweep => {
@@ -121,7 +122,7 @@ impl<P: Probability, W: Weight> Builder<'_, P, W> {
                 let count = list.len();
                 let scene = spatial::Scene::new(triangles, &bounds, half_unit, &options);
                 let mut list = spatial::with_room(list, &options);
-                let mut spare: Vec<Reference> = bytemuck::zeroed_vec(list.len());
+                let mut spare: Vec<Reference> = zeroed_vec(list.len());
                 self.root(SpatialReferences::new(&mut list, count, &mut spare, bounds, &scene), bounds)
             }
         }
@@ -129,7 +130,7 @@ impl<P: Probability, W: Weight> Builder<'_, P, W> {
 
     fn root<R: NodeReferences>(&self, references: R, bounds: PaddedAabb) -> Tree {
         let (count, capacity) = (references.len(), references.capacity());
-        let mut nodes: Vec<Node> = bytemuck::zeroed_vec(2 * capacity - 1);
+        let mut nodes: Vec<Node> = zeroed_vec(2 * capacity - 1);
         let mut primitives = vec![UNUSED; capacity];
         let state = self.probability.root(&bounds);
         let (root, below) = nodes.split_at_mut(1);

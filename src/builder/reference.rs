@@ -5,6 +5,7 @@
 use crate::geometry::padded::PaddedAabb;
 use crate::geometry::{Aabb, Triangle};
 use crate::probability::area::unit_for;
+use crate::zeroed::zeroed_vec;
 use bytemuck::{Pod, Zeroable};
 use glam::Vec4;
 use rayon::prelude::*;
@@ -67,7 +68,7 @@ const BLOCK: usize = 1 << 14;
 impl<'a> References<'a> {
     /// One reference for each triangle with finite vertices, in order; the others are left out, as Embree does.
     pub fn of(triangles: &'a [Triangle]) -> References<'a> {
-        let mut list: Vec<Reference> = bytemuck::zeroed_vec(triangles.len());
+        let mut list: Vec<Reference> = zeroed_vec(triangles.len());
         let (bounds, finite) = list
             .par_chunks_mut(BLOCK)
             .zip(triangles.par_chunks(BLOCK))

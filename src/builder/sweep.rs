@@ -10,6 +10,7 @@ use super::recursion::{NodeReferences, Split};
 use super::reference::Reference;
 use crate::geometry::padded::PaddedAabb;
 use crate::probability::{Cuts, Probability, Scores, Side};
+use crate::zeroed::zeroed_vec;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -76,7 +77,7 @@ impl SweepReferences<'_> {
             order.par_sort_unstable();
             Column {
                 sorted: order.par_iter().map(|&(_, index)| list[index as usize]).collect(),
-                spare: bytemuck::zeroed_vec(list.len()),
+                spare: zeroed_vec(list.len()),
             }
         });
         Columns { axes, goes_right: (0..=largest).map(|_| AtomicBool::new(false)).collect() }

@@ -8,6 +8,7 @@ use super::walk::Walk;
 use crate::format::FormatError;
 use crate::progress::Progress;
 use crate::traverse::{Link, Observer, Overlapped, PreparedRay, PreparedTriangle, Scratch};
+use crate::zeroed::zeroed_vec;
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 
@@ -53,8 +54,8 @@ impl Counted {
     /// Of a tree that no query was asked of.
     pub fn nothing(walk: &Walk) -> Counted {
         Counted {
-            nodes: bytemuck::zeroed_vec(walk.tree().nodes.len()),
-            triangles: bytemuck::zeroed_vec(walk.places().triangle_count()),
+            nodes: zeroed_vec(walk.tree().nodes.len()),
+            triangles: zeroed_vec(walk.places().triangle_count()),
             queries: 0,
             hits: 0,
             sampled: Sampled::default(),

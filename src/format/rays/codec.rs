@@ -8,6 +8,7 @@ use super::layout::{
 };
 use super::record::{Record, Reject};
 use crate::format::{FormatError, checksum};
+use crate::zeroed::zeroed_vec;
 use std::borrow::Cow;
 use std::hash::Hasher;
 use std::io;
@@ -161,7 +162,7 @@ pub(super) fn decompress(
     if decoded != columns.len() {
         return Err(wrong(format!("{decoded} bytes")));
     }
-    let mut records: Vec<Record> = bytemuck::zeroed_vec(entry.records as usize);
+    let mut records: Vec<Record> = zeroed_vec(entry.records as usize);
     let (record_columns, tail) = columns.split_at(entry.records as usize * RECORD_BYTES);
     from_columns(record_columns, bytemuck::cast_slice_mut(&mut records));
     Ok((records, bytemuck::pod_collect_to_vec(tail)))

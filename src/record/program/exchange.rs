@@ -9,6 +9,7 @@ use crate::embree::ffi::{
     ExchangeSlot,
 };
 use crate::format::rays::{Record, Reject};
+use crate::zeroed::zeroed_vec;
 use memmap2::{MmapOptions, MmapRaw};
 use std::fs::File;
 use std::io;
@@ -213,9 +214,9 @@ impl Exchange {
         let u32_at = |offset| self.u32_at(slot + offset).load(Ordering::Acquire);
         let count = u32_at(offset_of!(ExchangeSlot, count)).min(EXCHANGE_RECORDS) as usize;
         let reject_count = u32_at(offset_of!(ExchangeSlot, reject_count)).min(EXCHANGE_REJECTS) as usize;
-        let mut records: Vec<Record> = bytemuck::zeroed_vec(count);
+        let mut records: Vec<Record> = zeroed_vec(count);
         let mut scenes = vec![0u16; count];
-        let mut rejects: Vec<Reject> = bytemuck::zeroed_vec(reject_count);
+        let mut rejects: Vec<Reject> = zeroed_vec(reject_count);
         // SAFETY: all inside of the mapping, and as many elements as were just allocated. The program does not touch complete
         // records and their rejects until the slot is free again; what it adds meanwhile lies behind them, or is dropped
         // below. Records and rejects are plain numbers, so any bytes are ones.
