@@ -5,7 +5,7 @@
 pub mod bvh;
 pub mod histogram;
 pub mod rays;
-mod text;
+pub(crate) mod text;
 
 use crate::format::FormatError;
 use crate::progress::Progress;

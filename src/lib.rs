@@ -10,6 +10,7 @@
 //! | queries | [`render`], `record` (feature) | a renderer that asks, or somebody else's (`record::program`), and the writer of what was asked |
 //! | formats | [`mod@format`], [`files`] | `.rays` and `.bvh`, each read and written in one place |
 //! | looking | [`inspect`], [`diff`] | what is in a file, and how two differ |
+//! | other formats | [`convert`] | recordings and trees to NumPy and other programs, and back |
 //! | building | [`builder`], [`probability`], [`optimize`], [`training`], [`recipe`] | trees from triangles, and from rays how likely a box is hit |
 //! | moving | [`update`] | the tree of a frame, for the next one |
 //! | traversal | [`traverse`], [`replay`] | recorded queries over any tree: counts, and agreement with the recording |
@@ -29,6 +30,7 @@
 pub mod builder;
 pub mod cli;
 pub mod compare;
+pub mod convert;
 pub mod diff;
 #[cfg(feature = "embree")]
 pub mod embree;

@@ -1,0 +1,121 @@
+//! Damage: whatever the bytes, one line and no more memory than the file is worth.
+
+use super::support::{Place, legacy, legacy_file, recording};
+use embree_trace::convert::{ConvertError, Kind, source};
+
+/// Reads all queries of a file that may be anything.
+fn read(bytes: &[u8], kind: Kind) -> Result<usize, ConvertError> {
+    let mut source = source(bytes, kind)?;
+    let mut count = 0;
+    while let Some(chunk) = source.next()? {
+        assert!(chunk.records.len() <= 65_536);
+        count += chunk.records.len();
+    }
+    // Every record takes at least 32 bytes of any of these files.
+    assert!(count <= bytes.len() / 32 && count as u64 == source.count());
+    Ok(count)
+}
+
+/// Every beginning of a file, and the file with each of its bits flipped: how many of each could still be read.
+fn damaged(bytes: &[u8], kind: Kind) -> (usize, usize) {
+    let cut = (0..bytes.len()).filter(|&end| read(&bytes[..end], kind).is_ok()).count();
+    let mut copy = bytes.to_vec();
+    let flipped = (0..bytes.len() * 8).filter(|&bit| {
+        copy[bit / 8] ^= 1 << (bit % 8);
+        let good = read(&copy, kind).is_ok();
+        copy[bit / 8] ^= 1 << (bit % 8);
+        good
+    });
+    (cut, flipped.count())
+}
+
+#[test]
+fn damaged_rays_of_2011_are_refused_or_other_queries() {
+    let bytes = legacy_file(&[legacy(0, 0, [1.0; 3], [2.0; 3]), legacy(3, 1, [1.0; 3], [2.0; 3])]);
+    // Of a record, the depth and the floats may be anything, and two bits of id; the end mark nothing.
+    assert_eq!(damaged(&bytes, Kind::Rays2011), (0, 2 * (28 * 8 + 2)));
+}
+
+#[test]
+fn errors_of_2011_name_the_place() {
+    let place = Place::new();
+    let wrong = |id| legacy_file(&[legacy(0, 0, [1.0; 3], [2.0; 3]), legacy(id, 1, [1.0; 3], [2.0; 3])]);
+    place.put("id.rays2011", &wrong(4));
+    let line = place.refuse("id.rays2011 out.rays");
+    assert!(
+        line.contains("id.rays2011: at byte 32: id of a query: found 4, expected 0, 1, 2 or 3"),
+        "{line}"
+    );
+    assert!(!place.path("out.rays").exists());
+    place.put("cut.rays2011", &wrong(0)[..66]);
+    let line = place.refuse("cut.rays2011 out.rays");
+    assert!(
+        line.contains(
+            "at byte 64: the file ends inside the end of a 2011 ray file (the word 9215): 2 bytes left"
+        ),
+        "{line}"
+    );
+    place.put("end.rays2011", &[&wrong(0)[..64], &[0; 4]].concat());
+    let line = place.refuse("end.rays2011 out.rays");
+    assert!(line.contains("at byte 64: end of a 2011 ray file: found"), "{line}");
+}
+
+#[test]
+fn damaged_arrays_are_refused_or_other_queries() {
+    let place = Place::new();
+    recording(&place.path("ours.rays"));
+    place.convert("ours.rays ours.npy --sample 3");
+    let bytes = place.get("ours.npy");
+    let start = bytes.len() - 3 * 64;
+    let (cut, flipped) = damaged(&bytes, Kind::Npy);
+    assert_eq!(cut, 0);
+    // Every bit of a record but the seven of its kind, and few of the header: spaces, and the ending of a name in an unread place.
+    let of_records = 3 * (64 * 8 - 7);
+    assert!((of_records..of_records + 8 * start).contains(&flipped), "{flipped}");
+}
+
+#[test]
+fn arrays_of_other_dtypes_and_shapes_are_refused() {
+    let place = Place::new();
+    place.python(
+        r#"
+import numpy as np
+np.save("floats.npy", np.zeros((10, 3), "f4"))
+np.save("table.npy", np.zeros(10, [("origin", "<f4", 3), ("t", "<f8")]))
+"#,
+    );
+    for name in ["floats.npy", "table.npy"] {
+        let line = place.refuse(&format!("{name} out.rays"));
+        assert!(
+            line.contains("dtype of the .npy: found") && line.contains("('origin', '<f4', (3,))"),
+            "{line}"
+        );
+    }
+    recording(&place.path("ours.rays"));
+    place.convert("ours.rays ours.npy");
+    place.python(
+        r#"
+import numpy as np
+np.save("square.npy", np.load("ours.npy").reshape(10, 10))
+open("bytes.npy", "wb").write(b"\x93NUMPY\x02\x00\xff\xff\xff\xff{")
+"#,
+    );
+    for (name, expected) in [
+        ("square.npy", "shape of the .npy: found (10,10), expected one dimension"),
+        ("bytes.npy", "the file ends inside the header of an .npy: 13 bytes left, expected 4294967307"),
+    ] {
+        let line = place.refuse(&format!("{name} out.rays"));
+        assert!(line.contains(expected), "{line}");
+    }
+    // 2^58 records of 64 bytes are 2^64 bytes: a product that wraps to what is there.
+    let mut wrapped = place.get("ours.npy");
+    let at = wrapped.windows(6).position(|window| window == b"(100,)").unwrap();
+    let number = format!("({},), }}", (1_u64 << 58) + 100);
+    wrapped[at..at + number.len()].copy_from_slice(number.as_bytes());
+    place.put("wrapped.npy", &wrapped);
+    let line = place.refuse("wrapped.npy out.rays");
+    assert!(
+        line.contains("data of the .npy: found 6400 bytes, expected 288230376151711844 records"),
+        "{line}"
+    );
+}
