@@ -66,6 +66,13 @@ impl Deref for MappedFile {
     }
 }
 
+/// For owners of bytes that other libraries know.
+impl AsRef<[u8]> for MappedFile {
+    fn as_ref(&self) -> &[u8] {
+        self
+    }
+}
+
 /// A file that appears under its name only when it is whole. Until [`Self::commit`] it is a hidden neighbour, which is
 /// removed when the value is dropped, or a signal ends a binary; an older file of the name stays as it is. Where the name is a device or a pipe, it is
 /// written straight; where it is a link, the file that it points to is replaced.

@@ -229,7 +229,7 @@ fn write_frames(directory: &Path, mesh: &Mesh, count: u32) -> (Vec<String>, Vec<
         .map(|step| {
             let name = format!("frame{step}.obj");
             write_obj(directory, &name, &moved(mesh, step));
-            let options = obj::Options { quads: true };
+            let options = obj::Options { quads: true, ..obj::Options::default() };
             let (read, _) = embree_trace::mesh::read_with(&directory.join(&name), &options).unwrap();
             (name, read)
         })

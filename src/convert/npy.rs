@@ -22,11 +22,11 @@ pub const RECORD: &str = "[('origin', '<f4', (3,)), ('tnear', '<f4'), ('directio
 const SHORT: usize = 10;
 const LONG: usize = 12;
 
-/// The header of an array of `count` elements, padded so that the elements are aligned.
+/// The header of an array, padded so that the elements are aligned.
 ///
-/// `dtype` as NumPy prints it. The text has room for its length in two bytes for every dtype that we write.
-pub fn header(dtype: &str, count: u64) -> Vec<u8> {
-    let text = format!("{{'descr': {dtype}, 'fortran_order': False, 'shape': ({count},), }}");
+/// `dtype` and `shape` as NumPy prints them, a shape as a tuple such as `(1000,)`. The text has room for its length in two bytes for every dtype that we write.
+pub fn header(dtype: &str, shape: &str) -> Vec<u8> {
+    let text = format!("{{'descr': {dtype}, 'fortran_order': False, 'shape': {shape}, }}");
     // A line break ends it.
     let whole = (SHORT + text.len() + 1).next_multiple_of(ALIGNMENT as usize);
     let mut bytes = Vec::with_capacity(whole);
@@ -165,7 +165,7 @@ impl<W: Write> NpySink<W> {
     /// # Errors
     /// When `out` cannot be written.
     pub fn new(mut out: W, queries: &Header, count: u64) -> Result<NpySink<W>, ConvertError> {
-        out.write_all(&header(RECORD, count))?;
+        out.write_all(&header(RECORD, &format!("({count},)")))?;
         let mut losses = Losses::default();
         losses.lose_header(queries);
         Ok(NpySink { out, losses })

@@ -13,23 +13,27 @@ pub struct Summary {
     pub from: &'static str,
     pub output: String,
     pub to: &'static str,
-    /// In the output.
-    pub queries: u64,
+    /// What was converted: queries, nodes, boxes, …
+    pub unit: &'static str,
+    /// How many are in the output.
+    pub count: u64,
     /// Of the output.
     pub bytes: u64,
     #[serde(flatten)]
     pub losses: Losses,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub triangles: Option<Found>,
+    /// What may be wrong with the output, a line each.
+    pub warnings: Vec<String>,
 }
 
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut Formatter) -> fmt::Result {
-        let Summary { input, from, output, to, .. } = self;
+        let Summary { input, from, output, to, unit, .. } = self;
         writeln!(
             f,
-            "{input} ({from}) -> {output} ({to}): {} queries, {}",
-            grouped(self.queries),
+            "{input} ({from}) -> {output} ({to}): {} {unit}, {}",
+            grouped(self.count),
             bytes(self.bytes)
         )?;
         if let Some(Found { found, not_found, met_before }) = self.triangles {
@@ -47,6 +51,7 @@ impl fmt::Display for Summary {
                 )?;
             }
         }
+        self.warnings.iter().try_for_each(|warning| writeln!(f, "  {warning}"))?;
         write!(f, "{}", self.losses)
     }
 }

@@ -19,6 +19,9 @@ pub use write::{line_count, write};
 pub struct Options {
     /// Keep faces of four corners as Embree quads, in parts of their own; otherwise every face is cut into triangles.
     pub quads: bool,
+    /// Keep the order of the file: every stretch of faces between two names is a part of its own. Otherwise faces of the same names, wherever they
+    /// stand, are one part.
+    pub file_order: bool,
 }
 
 /// Gives the bytes of a material library by the name that stands in the file, or `None` when there is none.
@@ -240,6 +243,9 @@ impl Reader {
             return part;
         }
         let key = (self.object, self.group, self.material, kind);
+        if self.options.file_order {
+            self.part_of.remove(&key);
+        }
         let part = *self.part_of.entry(key).or_insert_with(|| {
             let name = match (self.names.text(self.object), self.names.text(self.group)) {
                 (object, "") => object.to_owned(),

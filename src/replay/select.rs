@@ -3,7 +3,7 @@
 use crate::format::rays::{NO_DEPTH, NO_PATH, Purpose, Record, kind};
 use crate::random::mixed;
 use std::fmt;
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 use std::str::FromStr;
 use thiserror::Error;
 
@@ -138,9 +138,15 @@ fn parse_bounds(text: &str) -> Option<Bounds> {
     if text == "unknown" {
         return Some(Bounds::Unknown);
     }
+    let range = parse_range(text)?;
+    Some(Bounds::Within(*range.start(), *range.end()))
+}
+
+/// The range that a text such as `3`, `1..`, `..4`, `0..4` or `0..=3` names; none when it is empty.
+pub fn parse_range(text: &str) -> Option<RangeInclusive<u32>> {
     let number = |text: &str| text.trim().parse::<u32>().ok();
     let Some((first, last)) = text.split_once("..") else {
-        return number(text).map(|n| Bounds::Within(n, n));
+        return number(text).map(|n| n..=n);
     };
     let first = if first.is_empty() { 0 } else { number(first)? };
     let last = match last.strip_prefix('=') {
@@ -148,7 +154,7 @@ fn parse_bounds(text: &str) -> Option<Bounds> {
         None if last.is_empty() => u32::MAX,
         None => number(last)?.checked_sub(1)?,
     };
-    (first <= last).then_some(Bounds::Within(first, last))
+    (first <= last).then_some(first..=last)
 }
 
 /// A sample of `size` of `total` queries: the file is cut into `size` equal strata, and each gives one, at a place that

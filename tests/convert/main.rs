@@ -3,3 +3,4 @@
 mod hostile;
 mod queries;
 mod support;
+mod trees;

@@ -1,10 +1,12 @@
-//! Queries: the 2011 files and NumPy.
+//! Queries: the 2011 files, NumPy, Parquet, and lines.
 
 use super::support::{Place, blocked, hit, legacy, legacy_file, recording, write_rays};
 use embree_trace::format::bvh::{self, Contents};
 use embree_trace::format::rays::{ChunkInfo, Header, NO_DEPTH, NO_PATH, NO_TRIANGLE, Record, flag, kind};
 use embree_trace::geometry::{Aabb, Triangle, Vec3};
 use embree_trace::tree::{Node, Tree};
+use parquet::basic::Compression;
+use parquet::file::reader::{FileReader, SerializedFileReader};
 use std::fs;
 
 const INF: f32 = f32::INFINITY;
@@ -25,7 +27,7 @@ fn a_file_of_2011_means_what_its_specification_says() {
     place.put("old.rays2011", &four());
     let said = place.convert("old.rays2011 new.rays");
     assert_eq!(
-        (&said["from"], &said["to"], &said["queries"]),
+        (&said["from"], &said["to"], &said["count"]),
         (&"rays-2011".into(), &"rays".into(), &4.into())
     );
     assert_eq!(said["lost"], serde_json::json!({"depth that is not from 0 to 254": 1}));
@@ -119,7 +121,7 @@ fn ours_becomes_2011_and_says_what_is_lost() {
             legacy(3, -1, origin, [0.0, 0.0, 8.0]),
         ])
     );
-    assert_eq!(said["queries"], 4);
+    assert_eq!(said["count"], 4);
     assert_eq!(
         said["left_out"],
         serde_json::json!({
@@ -234,7 +236,7 @@ np.lib.format.write_array(open("some.npy", "wb"), some, version=(3, 0))
     );
 
     let said = place.convert("some.npy some.rays");
-    assert_eq!(said["queries"], 50);
+    assert_eq!(said["count"], 50);
     let (_, some, _) = place.queries("some.rays");
     let expected: Vec<Record> = records
         .iter()
@@ -266,8 +268,8 @@ fn filters_and_samples_choose_and_keep_rejects_with_their_queries() {
     {
         let said = place.convert(&format!("ours.rays some.npy {words}"));
         let count = place.python("import numpy; print(len(numpy.load('some.npy')))");
-        assert_eq!(said["queries"].to_string(), count);
-        assert!(said["queries"].as_u64().unwrap() <= most && said["queries"] != 0, "{said}");
+        assert_eq!(said["count"].to_string(), count);
+        assert!(said["count"].as_u64().unwrap() <= most && said["count"] != 0, "{said}");
     }
 }
 
@@ -279,6 +281,8 @@ fn wrong_usage_is_one_line() {
     for (words, expected) in [
         ("what.bin out.rays", "what.bin: neither content nor ending says which format this is: add --from"),
         ("ours.rays out.txt", "out.txt: neither content nor ending says which format this is: add --to"),
+        ("ours.rays out.npy --part nodes", "ours.rays: --mesh and --part are for trees"),
+        ("ours.rays out.bvh", "ours.rays: queries cannot become bvh"),
         ("none.rays out.npy", "none.rays: cannot open"),
         ("what.bin out.rays --from npy", "what.bin: at byte 0: magic: found \"no for\""),
         ("ours.rays out.npy --from rays-2011", "ours.rays: at byte"),
@@ -289,4 +293,90 @@ fn wrong_usage_is_one_line() {
         assert!(line.starts_with(&format!("trace-convert: error: {expected}")), "{line}");
     }
     assert!(!place.path("out.npy").exists());
+}
+
+#[test]
+fn a_table_comes_back_as_the_same_recording() {
+    let place = Place::new();
+    let (header, records, rejects) = recording(&place.path("ours.rays"));
+    let said = place.convert("ours.rays ours.parquet");
+    assert_eq!(
+        (&said["count"], &said["lost"], &said["left_out"]),
+        (&100.into(), &serde_json::json!({}), &serde_json::json!({}))
+    );
+    assert!(place.get("ours.parquet").starts_with(b"PAR1") && place.get("ours.parquet").ends_with(b"PAR1"));
+    let said = place.convert("ours.parquet back.rays --codec raw");
+    assert_eq!((&said["from"], &said["lost"]), (&"parquet".into(), &serde_json::json!({})));
+    assert_eq!(place.queries("back.rays"), (header, records, rejects));
+    // Chunks, too: the whole file, byte for byte.
+    assert_eq!(place.get("back.rays"), place.get("ours.rays"));
+}
+
+#[test]
+fn a_table_has_a_row_group_per_chunk_and_plain_columns() {
+    let place = Place::new();
+    recording(&place.path("ours.rays"));
+    place.convert("ours.rays ours.parquet");
+    let reader = SerializedFileReader::new(bytes::Bytes::from(place.get("ours.parquet"))).unwrap();
+    let groups: Vec<i64> = reader.metadata().row_groups().iter().map(|group| group.num_rows()).collect();
+    assert_eq!(groups, [40, 60]);
+    assert!(
+        reader
+            .metadata()
+            .row_groups()
+            .iter()
+            .flat_map(|group| group.columns())
+            .all(|column| { matches!(column.compression(), Compression::ZSTD(_)) })
+    );
+    // The crate's own rows, as other readers would show them.
+    let rows: Vec<String> = reader.get_row_iter(None).unwrap().map(|row| row.unwrap().to_string()).collect();
+    assert_eq!(rows.len(), 100);
+    for part in [
+        "origin_y: 2.0",
+        "direction_z: 2.0",
+        "mask: 4294967295",
+        "triangle: 7",
+        "u: 0.25",
+        "kind: 0",
+        "thread: 0",
+        "rejects: []",
+    ] {
+        assert!(rows[0].contains(part), "{part}: {}", rows[0]);
+    }
+    for part in ["path: 98", "kind: 1", "thread: 3", "sequence: 135", "rejects: [9, 5]"] {
+        assert!(rows[98].contains(part), "{part}: {}", rows[98]);
+    }
+}
+
+#[test]
+fn lines_are_the_effective_segments() {
+    let place = Place::new();
+    let miss = Record { t: INF, triangle: NO_TRIANGLE, u: 0.0, v: 0.0, flags: 0, purpose: 1, ..hit() };
+    let broken = Record { origin: Vec3::NAN, ..hit() };
+    let info = ChunkInfo::default();
+    write_rays(
+        &place.path("ours.rays"),
+        &Header::default(),
+        &[(info, &[hit(), miss, blocked(), broken, hit()], &[])],
+    );
+    let said = place.convert("ours.rays lines.obj");
+    assert_eq!(said["left_out"].as_object().unwrap().values().next(), Some(&1.into()));
+    assert_eq!((&said["count"], &said["unit"]), (&4.into(), &"queries".into()));
+    let (models, _) = tobj::load_obj(place.path("lines.obj"), &tobj::LoadOptions::default()).unwrap();
+    let lines: Vec<(&str, &[f32], usize)> =
+        models.iter().map(|m| (m.name.as_str(), &m.mesh.positions[..], m.mesh.indices.len())).collect();
+    let from = [1.0, 2.0, 3.0];
+    let line = |z: f32| [&from[..], &[1.0, 2.0, z]].concat();
+    // From z = 3: hits at 3 + 2.5 · 2, blocked up to 3 + 4 · 2, and the miss as long as all that.
+    let (hits, miss, blocked) = ([line(8.0), line(8.0)].concat(), line(11.0), line(11.0));
+    assert_eq!(
+        lines,
+        [("camera_miss", &miss[..], 2), ("shadow_blocked", &blocked[..], 2), ("diffuse_hit", &hits[..], 4)]
+    );
+
+    let text = String::from_utf8(place.get("lines.obj")).unwrap();
+    assert_eq!(
+        text.lines().filter(|line| line.starts_with("l ")).collect::<Vec<_>>(),
+        ["l 1 2", "l 3 4", "l 5 6", "l 7 8"]
+    );
 }

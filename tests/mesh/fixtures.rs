@@ -42,7 +42,8 @@ fn reading_a_fixture_gives_the_scene_that_was_written() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures");
     for (name, scene) in scenes() {
         let path = folder.join(format!("{name}.obj"));
-        let (read, warnings) = mesh::read_with(&path, &obj::Options { quads: true }).unwrap();
+        let (read, warnings) =
+            mesh::read_with(&path, &obj::Options { quads: true, ..obj::Options::default() }).unwrap();
         assert!(warnings.is_empty(), "{name}: {warnings}");
         assert_eq!(read.vertices, scene.vertices, "{name}");
         // Parts of the same name and material are one after reading; each keeps its faces in order.

@@ -17,7 +17,7 @@ fn check(mesh: &Mesh) {
 
 fn read_anything(bytes: &[u8]) {
     for quads in [false, true] {
-        let options = obj::Options { quads };
+        let options = obj::Options { quads, ..obj::Options::default() };
         let library = bytes[..bytes.len().min(200)].to_vec();
         let (mesh, warnings) = obj::parse(bytes, &options, &mut |_| Some(library.clone()));
         check(&mesh);
@@ -192,7 +192,7 @@ proptest! {
     fn what_is_written_is_read(mesh in meshes()) {
         let (mut text, mut library) = (Vec::new(), Vec::new());
         obj::write(&mesh, "a.mtl", &mut text, &mut library, &Progress::hidden()).unwrap();
-        let (read, _) = obj::parse(&text, &obj::Options { quads: true }, &mut |_| Some(library.clone()));
+        let (read, _) = obj::parse(&text, &obj::Options { quads: true, ..obj::Options::default() }, &mut |_| Some(library.clone()));
         let bits = |mesh: &Mesh| -> Vec<Option<[u32; 3]>> {
             // NaN is written as NaN, whatever its sign and payload.
             let value = |v: f32| if v.is_nan() { 0x7FC0_0000 } else { v.to_bits() };

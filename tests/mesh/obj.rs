@@ -120,7 +120,8 @@ fn parts_by_object_group_and_material() {
     assert_eq!(mesh.materials.iter().map(|m| m.name.as_str()).collect::<Vec<_>>(), ["a b", "c"]);
     assert_eq!(warnings.count(Kind::UnknownMaterial), 2);
 
-    let (mesh, _) = obj::parse(text.as_bytes(), &obj::Options { quads: true }, &mut |_| None);
+    let (mesh, _) =
+        obj::parse(text.as_bytes(), &obj::Options { quads: true, ..obj::Options::default() }, &mut |_| None);
     let quads: Vec<_> =
         mesh.parts.iter().filter(|p| p.faces == Faces::Quads).map(|p| p.indices.as_slice()).collect();
     assert_eq!(quads, [&[0, 1, 2, 3]]);

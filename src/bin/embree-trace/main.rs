@@ -333,7 +333,7 @@ fn record_frames(arguments: &Arguments, plan: &Plan, directory: &Path) -> Result
     let summary = Sequence {
         files: &arguments.scene,
         directory,
-        options: Options { quads: arguments.quads },
+        options: Options { quads: arguments.quads, ..Options::default() },
         settings: &plan.settings,
         job: plan.job,
         wishes: plan.wishes,
@@ -353,7 +353,7 @@ fn trace_one(arguments: &Arguments, plan: Plan) -> Result<Summary, Failure> {
     let mut clock = Instant::now();
     let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
 
-    let (mesh, warnings) = mesh::read_with(path, &Options { quads: arguments.quads })?;
+    let (mesh, warnings) = mesh::read_with(path, &Options { quads: arguments.quads, ..Options::default() })?;
     summary.warnings.extend(warnings.to_string().lines().map(str::to_owned));
     (summary.triangles, summary.parts) = (mesh.triangle_count() as u64, mesh.parts.len() as u64);
     summary.seconds.read = lap();
