@@ -1,0 +1,6 @@
+//! What `fuzz/` checks of every reader, without a fuzzer: for described files in property tests, and for the committed corpus.
+
+mod corpus;
+#[path = "../../fuzz/src/lib.rs"]
+mod fuzz;
+mod properties;
