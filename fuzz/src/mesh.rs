@@ -1,6 +1,6 @@
 //! What a mesh keeps, whatever file it was read from.
 
-use embree_trace::geometry::{Triangle, Vec3};
+use embree_trace::geometry::Vec3;
 use embree_trace::mesh::{Mesh, Warnings, obj, ply};
 use embree_trace::progress::Progress;
 
@@ -20,25 +20,31 @@ pub fn check_mesh(mesh: &Mesh) {
     assert_eq!(mesh.triangles().len(), mesh.triangle_count());
 }
 
+fn options(quads: bool) -> obj::Options {
+    obj::Options { quads, ..obj::Options::default() }
+}
+
 /// Reads bytes as an OBJ, and as its own material library.
 ///
 /// # Panics
 /// Where a promise of the reader does not hold.
 pub fn check_obj(bytes: &[u8]) {
-    let mut meshes = [false, true].map(|quads| {
-        let options = obj::Options { quads };
-        let mut load = |_: &str| Some(bytes.to_vec());
-        let read = obj::parse(bytes, &options, &mut load);
+    let mut load = |_: &str| Some(bytes.to_vec());
+    let [triangles, quads] = [false, true].map(|quads| {
+        let read = obj::parse(bytes, &options(quads), &mut load);
         check_mesh(&read.0);
-        let Ok(streamed) = obj::parse_stream(bytes, &options, &mut load) else {
-            panic!("a slice cannot fail")
-        };
-        // As text, in which a NaN is like another.
-        assert!(format!("{read:?}") == format!("{streamed:?}"), "a stream reads as a slice does");
         read
     });
-    assert_eq!(meshes[0].0.triangle_count(), meshes[1].0.triangle_count(), "a quad is two triangles");
-    check_written(&mut meshes[1].0);
+    assert_eq!(triangles.0.triangle_count(), quads.0.triangle_count(), "a quad is two triangles");
+    let in_order = obj::parse(bytes, &obj::Options { file_order: true, ..options(false) }, &mut load).0;
+    check_mesh(&in_order);
+    assert_eq!(in_order.triangle_count(), triangles.0.triangle_count());
+    let Ok(streamed) = obj::parse_stream(bytes, &options(true), &mut load) else {
+        panic!("a slice cannot fail")
+    };
+    assert_same(&streamed.0, &quads.0);
+    assert_eq!(streamed.1.to_string(), quads.1.to_string(), "a stream reads as a slice does");
+    check_written(&quads.0);
 }
 
 /// Reads bytes as a PLY.
@@ -46,14 +52,14 @@ pub fn check_obj(bytes: &[u8]) {
 /// # Panics
 /// Where a promise of the reader does not hold.
 pub fn check_ply(bytes: &[u8]) {
-    let read = |quads| ply::parse(bytes, &obj::Options { quads });
+    let read = |quads| ply::parse(bytes, &options(quads));
     let [triangles, quads] = [read(false), read(true)];
     match (triangles, quads) {
-        (Ok((triangles, _)), Ok((mut quads, _))) => {
+        (Ok((triangles, _)), Ok((quads, _))) => {
             check_mesh(&triangles);
             check_mesh(&quads);
             assert_eq!(triangles.triangle_count(), quads.triangle_count(), "a quad is two triangles");
-            check_written(&mut quads);
+            check_written(&quads);
         }
         (Err(error), Err(other)) => {
             super::check_line(&error);
@@ -63,17 +69,26 @@ pub fn check_ply(bytes: &[u8]) {
     }
 }
 
-/// A mesh written as OBJ is read with the same vertices and triangles; written once more, it is the same to the last name.
-fn check_written(mesh: &mut Mesh) {
+/// A mesh written as OBJ is read with the same vertices and faces; written once more, it is the same to the last name.
+fn check_written(mesh: &Mesh) {
     let first = written(mesh);
     check_mesh(&first);
-    let bits = |mesh: &Mesh| mesh.vertices.iter().map(|&vertex| canonical(vertex)).collect::<Vec<_>>();
     assert_eq!(bits(&first), bits(mesh));
-    // Parts of the same name and material become one, so the order of triangles may differ.
-    assert_eq!(sorted(&first.triangles()), sorted(&mesh.triangles()));
-    let second = written(&first);
-    assert_eq!(bits(&second), bits(&first));
-    assert_eq!((&second.parts, &second.materials), (&first.parts, &first.materials));
+    let faces = |mesh: &Mesh| -> Vec<_> {
+        mesh.parts.iter().map(|part| (part.faces, part.indices.clone())).collect()
+    };
+    assert_eq!(faces(&first), faces(mesh));
+    assert_same(&written(&first), &first);
+}
+
+/// Two meshes are the same, where one NaN is like another.
+fn assert_same(mesh: &Mesh, other: &Mesh) {
+    assert_eq!(bits(mesh), bits(other));
+    assert_eq!((&mesh.parts, &mesh.materials), (&other.parts, &other.materials));
+}
+
+fn bits(mesh: &Mesh) -> Vec<[u32; 3]> {
+    mesh.vertices.iter().map(|&vertex| canonical(vertex)).collect()
 }
 
 fn written(mesh: &Mesh) -> Mesh {
@@ -81,18 +96,12 @@ fn written(mesh: &Mesh) -> Mesh {
     if let Err(error) = obj::write(mesh, "a.mtl", &mut text, &mut library, &Progress::hidden()) {
         panic!("memory is no full disk: {error}");
     }
-    let read: (Mesh, Warnings) =
-        obj::parse(&text, &obj::Options { quads: true }, &mut |_| Some(library.clone()));
+    let options = obj::Options { quads: true, file_order: true };
+    let read: (Mesh, Warnings) = obj::parse(&text, &options, &mut |_| Some(library.clone()));
     read.0
 }
 
 /// A NaN is written as NaN, whatever its sign and payload.
 fn canonical(vertex: Vec3) -> [u32; 3] {
     vertex.to_array().map(|value| if value.is_nan() { f32::NAN.to_bits() } else { value.to_bits() })
-}
-
-fn sorted(triangles: &[Triangle]) -> Vec<[[u32; 3]; 3]> {
-    let mut sorted: Vec<_> = triangles.iter().map(|triangle| triangle.0.map(canonical)).collect();
-    sorted.sort_unstable();
-    sorted
 }

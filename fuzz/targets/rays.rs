@@ -1,10 +1,12 @@
 #![no_main]
 
+mod threads;
+
 use embree_trace::format::RAYS_MAGIC;
 use embree_trace_fuzz::{rays, rays_file, repair};
 use libfuzzer_sys::{fuzz_mutator, fuzz_target, fuzzer_mutate};
 
-fuzz_target!(|bytes: &[u8]| rays::check(bytes));
+fuzz_target!(init: threads::none(), |bytes: &[u8]| rays::check(bytes));
 
 // What does not start as a file does is taken as the description of one; three in four inputs get checksums that hold.
 fuzz_mutator!(|bytes: &mut [u8], size: usize, room: usize, seed: u32| {
