@@ -83,11 +83,18 @@ fn write_box(out: &mut dyn Write, bounds: &Aabb, first: u64, style: Style) -> io
     }
 }
 
-/// Writes the triangles, in the order of `TRIS`, so that a face's number in the file is its triangle's; vertices of the same bits once. Returns how many.
+/// Writes the triangles, in the order of `TRIS`, so that a face's number in the file is its triangle's; vertices of the same bits once. Returns how many,
+/// and how many have a vertex that other programs cannot read.
 ///
 /// # Errors
 /// When `out` cannot be written.
-pub fn write_triangles(out: &mut dyn Write, bvh: &Bvh) -> io::Result<u64> {
+pub fn write_triangles(out: &mut dyn Write, bvh: &Bvh) -> io::Result<(u64, Losses)> {
+    let mut losses = Losses::default();
+    let infinite = bvh.triangles.iter().filter(|triangle| !triangle.is_finite()).count();
+    losses.lose(
+        "coordinate of a triangle that is not finite, which other programs read as they like",
+        infinite as u64,
+    );
     writeln!(out, "# Triangles of a tree, written by embree-trace: in the order of its TRIS")?;
     let mut numbers: HashMap<[u32; 3], u64> = HashMap::new();
     let mut geometries = bvh.geometries.iter().filter(|geometry| geometry.triangle_count > 0).peekable();
@@ -111,7 +118,7 @@ pub fn write_triangles(out: &mut dyn Write, bvh: &Bvh) -> io::Result<u64> {
         }
         writeln!(out, "f {} {} {}", corners[0], corners[1], corners[2])?;
     }
-    Ok(bvh.triangles.len() as u64)
+    Ok((bvh.triangles.len() as u64, losses))
 }
 
 fn name(geometry: Option<(u32, u32)>) -> String {

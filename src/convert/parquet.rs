@@ -1,8 +1,9 @@
 //! Parquet: a table with a row per query, for pandas, Polars, DuckDB and Spark.
 //!
 //! Columns of plain types (`COLUMNS`), zstd, a row group per chunk. Rejects are a list in the row of their query; the thread and the
-//! number within it stand in every row, and what the header of a `.rays` says in the file's metadata, so that the way back gives the same recording. Tables that other programs
-//! wrote are read, too, whatever their row groups: a column may then be optional, of wider numbers, and the last four may be missing.
+//! number within it stand in every row, and what the header of a `.rays` says in the file's metadata, so that the way back gives the same
+//! recording. Tables that other programs wrote are read, too, whatever their row groups: a column may then be optional, of wider
+//! numbers, and the last four may be missing.
 
 mod guard;
 mod pages;

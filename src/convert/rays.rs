@@ -32,6 +32,14 @@ impl Source for RaysSource<'_> {
         self.next += 1;
         Ok(Some(self.rays.chunk(self.next - 1)?))
     }
+
+    /// What was not saved of a recording that was cut off.
+    fn losses(&self) -> Losses {
+        let mut losses = Losses::default();
+        let lost = self.rays.recovery.map_or(0, |recovery| recovery.lost_bytes);
+        losses.lose("byte of the recording, which was cut off: in no whole chunk", lost);
+        losses
+    }
 }
 
 /// Writes every piece as a chunk.

@@ -78,10 +78,14 @@ pub fn from_ours(
         (Kind::Bvh2011, _) => return to_2011(bvh, numbering, out),
         (Kind::Obj, Part::Boxes) => {
             let (count, left_out) = write_boxes(out, bvh.tree, &options.levels, options.style)?;
-            losses = losses.and(left_out);
+            losses = left_out;
             count
         }
-        (Kind::Obj, Part::Triangles) => write_triangles(out, bvh)?,
+        (Kind::Obj, Part::Triangles) => {
+            let (count, lost) = write_triangles(out, bvh)?;
+            losses = lost;
+            count
+        }
         (Kind::Npy, Part::Nodes) => array(out, NODE, "", bvh.tree.nodes)?,
         (Kind::Npy, Part::Primitives) => array(out, PRIMITIVE, "", bvh.tree.primitives)?,
         (Kind::Npy, Part::Triangles) => array(out, TRIANGLE, " 3, 3", bvh.triangles)?,

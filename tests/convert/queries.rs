@@ -274,6 +274,23 @@ fn filters_and_samples_choose_and_keep_rejects_with_their_queries() {
 }
 
 #[test]
+fn what_a_cut_off_recording_lost_is_said() {
+    let place = Place::new();
+    let (_, records, _) = recording(&place.path("ours.rays"));
+    let bytes = place.get("ours.rays");
+    // Header, a chunk of 40 records, and a part of the next.
+    place.put("cut.rays", &bytes[..64 + 64 + 40 * 64 + 100]);
+    let said = place.convert("cut.rays cut.parquet");
+    assert_eq!(said["count"], 40);
+    assert_eq!(
+        said["lost"],
+        serde_json::json!({"byte of the recording, which was cut off: in no whole chunk": 100})
+    );
+    place.convert("cut.parquet back.rays");
+    assert_eq!(place.queries("back.rays").1, records[..40]);
+}
+
+#[test]
 fn wrong_usage_is_one_line() {
     let place = Place::new();
     recording(&place.path("ours.rays"));
