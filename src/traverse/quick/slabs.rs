@@ -212,4 +212,22 @@ mod tests {
         assert!(refused(1.0, 0.0, 0.0) && refused(1.0, -0.0, 0.0) && refused(1.0, 1e-42, 0.0));
         assert!(refused(1.0, 1.0, -1e-9) && refused(1e20, 1e-25, 0.0) && refused(f32::INFINITY, 1.0, 0.0));
     }
+
+    /// Not a test: `near` leads behind the group, against its contract, and `test` reads there. A sanitizer must see it, or it sees nothing.
+    #[test]
+    #[ignore = "a defect that is planted for tools/sanitizers, which alone runs it"]
+    fn planted_defect() {
+        if !(is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")) {
+            return;
+        }
+        let ray = Ray { origin: Vec3::ONE, tnear: 0.0, direction: Vec3::ONE, tfar: 9.0 };
+        let group = Box::new(Group { faces: [[[0.0; 8]; 2]; 3], below: [Below::NOTHING; 8] });
+        // SAFETY: there is none; see above.
+        let met = unsafe {
+            let mut slabs = SlabRay::new(&PreparedRay::new(&ray)).unwrap();
+            slabs.near = [size_of::<Group<8>>(), AXIS, 2 * AXIS];
+            slabs.test(std::hint::black_box(&group), 9.0)
+        };
+        std::hint::black_box(met);
+    }
 }
