@@ -95,7 +95,7 @@ impl Scene {
                 &mut error,
             )
         };
-        let geometries = tree::geometries(mesh, ALL_MASKS);
+        let geometries = mesh.geometries(ALL_MASKS);
         NonNull::new(handle).map(|handle| Scene { handle, geometries }).ok_or_else(|| match settings.isa {
             Some(isa) if error.code == ffi::UNSUPPORTED_CPU => EmbreeError::UnsupportedIsa(isa),
             _ => EmbreeError::from_shim(&error),

@@ -106,13 +106,7 @@ pub fn foci(settings: &Settings) -> Vec<f64> {
 
 /// The level of each node; the root's is 1.
 fn levels(tree: TreeView) -> Vec<u32> {
-    let mut levels = vec![1; tree.nodes.len()];
-    for (index, node) in tree.nodes.iter().enumerate().filter(|(_, node)| !node.is_leaf()) {
-        // Children stand behind their parent.
-        let below = levels[index] + 1;
-        levels[node.range()].fill(below);
-    }
-    levels
+    tree.levels().into_iter().map(|level| level + 1).collect()
 }
 
 /// Mean of the values at one x, and its standard error.

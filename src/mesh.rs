@@ -17,6 +17,7 @@ mod warnings;
 pub use read::{MeshError, Problem, read, read_with};
 pub use warnings::{Kind, Warnings};
 
+use crate::format::bvh::{Geometry, NO_INSTANCE, geometry_kind};
 use crate::geometry::{Triangle, Vec3};
 
 /// Corners of each face of a [`Part`].
@@ -105,6 +106,37 @@ impl Mesh {
     }
 
     pub fn triangle_count(&self) -> usize {
-        self.parts.iter().map(|p| p.indices.len() / p.faces.corners() * p.faces.triangles()).sum()
+        self.parts.iter().map(Part::triangle_count).sum()
+    }
+
+    /// The elements of `GEOM` for its parts: one geometry each, all seen by what `mask` says.
+    pub fn geometries(&self, mask: u32) -> Vec<Geometry> {
+        let mut first_triangle = 0;
+        let geometry = |(number, part): (usize, &Part)| {
+            let triangle_count = part.triangle_count() as u32;
+            let geometry = Geometry {
+                instance: NO_INSTANCE,
+                geometry: number as u32,
+                first_triangle,
+                triangle_count,
+                mask,
+                kind: match part.faces {
+                    Faces::Triangles => geometry_kind::TRIANGLES,
+                    Faces::Quads => geometry_kind::QUADS,
+                },
+                flags: 0,
+                reserved: 0,
+            };
+            first_triangle += triangle_count;
+            geometry
+        };
+        self.parts.iter().enumerate().map(geometry).collect()
+    }
+}
+
+impl Part {
+    /// Triangles of its faces, two for a quad.
+    pub fn triangle_count(&self) -> usize {
+        self.indices.len() / self.faces.corners() * self.faces.triangles()
     }
 }

@@ -8,7 +8,7 @@ pub mod queries;
 
 use crate::format::FormatError;
 use crate::format::bvh::Bvh;
-use crate::format::rays::{Chunk, Rays, Reject, flag};
+use crate::format::rays::Rays;
 use crate::geometry::Ray;
 use crate::ranks::{RankFailed, Ranks, Share, even_part, gather_all};
 use crate::replay::select::{Filter, Portion};
@@ -95,16 +95,6 @@ fn thin<T>(queries: &mut Vec<T>, most: usize) {
 /// At most `most` of `all`, evenly chosen.
 pub(crate) fn even<T: Clone>(all: &[T], most: usize) -> Vec<T> {
     even_part(all, 0, all.len(), most)
-}
-
-/// What the program refused of one record of a chunk; they are sorted by record.
-fn rejects_of(chunk: &Chunk, place: usize) -> Box<[Reject]> {
-    if chunk.records[place].flags & flag::HAS_REJECTS == 0 {
-        return Box::default();
-    }
-    let start = chunk.rejects.partition_point(|reject| (reject.record as usize) < place);
-    let end = chunk.rejects.partition_point(|reject| reject.record as usize <= place);
-    chunk.rejects[start..end].into()
 }
 
 /// Refuses a recording that says that it is of another scene than `bvh`.

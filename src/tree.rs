@@ -92,3 +92,16 @@ pub struct TreeView<'a> {
     pub nodes: &'a [Node],
     pub primitives: &'a [u32],
 }
+
+impl TreeView<'_> {
+    /// The level of each node; the root's is 0.
+    pub fn levels(&self) -> Vec<u32> {
+        let mut levels = vec![0; self.nodes.len()];
+        // Children stand behind their parent, so a node's level is known when it is reached.
+        for (index, node) in self.nodes.iter().enumerate().filter(|(_, node)| !node.is_leaf()) {
+            let below = levels[index] + 1;
+            levels[node.range()].fill(below);
+        }
+        levels
+    }
+}

@@ -37,12 +37,7 @@ pub fn write_boxes(
     style: Style,
 ) -> io::Result<(u64, Losses)> {
     let mut losses = Losses::default();
-    // Parents stand before their children.
-    let mut level_of = vec![0_u32; tree.nodes.len()];
-    for (index, node) in tree.nodes.iter().enumerate().filter(|(_, node)| !node.is_leaf()) {
-        let below = level_of[index] + 1;
-        level_of[node.range()].fill(below);
-    }
+    let level_of = tree.levels();
     let mut chosen: Vec<usize> =
         (0..tree.nodes.len()).filter(|&index| levels.contains(&level_of[index])).collect();
     chosen.sort_by_key(|&index| level_of[index]);

@@ -3,12 +3,14 @@
 //! The field names are those of the reader in `docs/formats.md`. Chunks, rejects and what a header says have no place in an array and are lost; arrays
 //! of other dtypes are refused. Format: NumPy enhancement proposal 1 (numpy.lib.format), versions 1.0 to 3.0.
 
+use super::queries::Pieces;
 use super::{ConvertError, Losses, Sink, Source};
-use crate::format::rays::{Chunk, ChunkInfo, Header, MAX_CHUNK_RECORDS, Record, flag, kind};
+use crate::format::rays::{Chunk, ChunkInfo, Header, Record, flag, kind};
 use crate::format::{ALIGNMENT, FormatError, Problem};
 use std::borrow::Cow;
 use std::io::Write;
 use std::mem::offset_of;
+use std::ops::Range;
 
 /// The first bytes of a file.
 pub const MAGIC: &[u8] = b"\x93NUMPY";
@@ -95,8 +97,7 @@ pub struct NpySource<'a> {
     bytes: &'a [u8],
     /// Where the records start.
     start: usize,
-    count: u64,
-    next: u64,
+    pieces: Pieces,
     losses: Losses,
 }
 
@@ -107,7 +108,7 @@ impl<'a> NpySource<'a> {
     /// When the file is cut off, or its array is not one of records.
     pub fn parse(bytes: &'a [u8]) -> Result<NpySource<'a>, FormatError> {
         let (start, count) = read_header(bytes)?;
-        Ok(NpySource { bytes, start, count, next: 0, losses: Losses::default() })
+        Ok(NpySource { bytes, start, pieces: Pieces::of(count), losses: Losses::default() })
     }
 }
 
@@ -117,20 +118,16 @@ impl Source for NpySource<'_> {
     }
 
     fn count(&self) -> u64 {
-        self.count
+        self.pieces.count
     }
 
     fn next(&mut self) -> Result<Option<Chunk<'_>>, ConvertError> {
-        let first = self.next;
-        self.next = self.count.min(first + MAX_CHUNK_RECORDS as u64);
-        if first == self.next {
-            return Ok(None);
-        }
+        let Some(Range { start: first, end }) = self.pieces.next() else { return Ok(None) };
         let size = size_of::<Record>() as u64;
         // In range: the size has been compared with the length of these bytes.
         let offset = self.start + (first * size) as usize;
         let mut records: Vec<Record> =
-            bytemuck::pod_collect_to_vec(&self.bytes[offset..offset + ((self.next - first) * size) as usize]);
+            bytemuck::pod_collect_to_vec(&self.bytes[offset..offset + ((end - first) * size) as usize]);
         for (place, record) in records.iter_mut().enumerate() {
             if record.kind > kind::OCCLUSION {
                 let at = offset + place * size as usize + offset_of!(Record, kind);

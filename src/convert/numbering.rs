@@ -1,6 +1,6 @@
 //! How the triangles of a scene file are numbered: in the order of its faces, as the files of 2011 do, and by part, as `TRIS` does.
 
-use crate::format::bvh::{Geometry, NO_INSTANCE, geometry_kind};
+use crate::format::bvh::Geometry;
 use crate::geometry::Triangle;
 use crate::mesh::{self, MeshError, obj::Options};
 use std::collections::HashMap;
@@ -49,7 +49,7 @@ impl Numbering {
                 numbers.push(Vec::new());
                 numbers.len() - 1
             });
-            let count = (stretch.indices.len() / stretch.faces.corners()) as u32;
+            let count = stretch.triangle_count() as u32;
             numbers[part].extend(next..next + count);
             next += count;
         }
@@ -62,24 +62,7 @@ impl Numbering {
         if !same {
             return Err(NumberingError::Names);
         }
-        let mut first_triangle = 0;
-        let geometry = |(number, part): (usize, &mesh::Part)| {
-            let triangle_count = (part.indices.len() / part.faces.corners()) as u32;
-            let geometry = Geometry {
-                instance: NO_INSTANCE,
-                geometry: number as u32,
-                first_triangle,
-                triangle_count,
-                mask: u32::MAX,
-                kind: geometry_kind::TRIANGLES,
-                flags: 0,
-                reserved: 0,
-            };
-            first_triangle += triangle_count;
-            geometry
-        };
-        let geometries = by_part.parts.iter().enumerate().map(geometry).collect();
-        Ok(Numbering { triangles, geometries, in_file })
+        Ok(Numbering { triangles, geometries: by_part.geometries(u32::MAX), in_file })
     }
 
     /// Whether a tree's triangles are these.

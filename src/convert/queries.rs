@@ -1,10 +1,11 @@
 //! Queries on their way from one file to another, a piece of at most a chunk at a time.
 
 use super::{ConvertError, Losses};
-use crate::format::rays::{Chunk, Header, Record, Reject, flag};
+use crate::format::rays::{Chunk, Header, MAX_CHUNK_RECORDS, Record, Reject};
 use crate::progress::Progress;
 use crate::replay::select::{Filter, Sample};
 use std::borrow::Cow;
+use std::ops::Range;
 
 /// Where queries come from.
 pub trait Source {
@@ -37,6 +38,28 @@ pub trait Sink {
     /// # Errors
     /// When the output cannot be written.
     fn finish(self: Box<Self>) -> Result<Losses, ConvertError>;
+}
+
+/// The numbers of the queries of a file without chunks, so many at a time as a chunk may hold.
+pub(super) struct Pieces {
+    next: u64,
+    pub(super) count: u64,
+}
+
+impl Pieces {
+    pub(super) fn of(count: u64) -> Pieces {
+        Pieces { next: 0, count }
+    }
+}
+
+impl Iterator for Pieces {
+    type Item = Range<u64>;
+
+    fn next(&mut self) -> Option<Range<u64>> {
+        let first = self.next;
+        self.next = self.count.min(first + MAX_CHUNK_RECORDS as u64);
+        (first < self.next).then_some(first..self.next)
+    }
 }
 
 /// Which queries to convert: a sample of the file as for `bvh-compare`, and of that what passes the filter.
@@ -94,17 +117,10 @@ impl Selection {
         }
         let mut records = Vec::new();
         let mut rejects = Vec::new();
-        let mut waiting = &chunk.rejects[..];
         for place in self.within(&chunk.records, start, total) {
-            let record = chunk.records[place];
-            if record.flags & flag::HAS_REJECTS != 0 {
-                // Both are in order, so what stands before this record's is of those that were not chosen.
-                waiting = &waiting[waiting.partition_point(|reject| (reject.record as usize) < place)..];
-                let own = waiting.partition_point(|reject| reject.record as usize == place);
-                let moved = |reject: &Reject| Reject { record: records.len() as u32, ..*reject };
-                rejects.extend(waiting[..own].iter().map(moved));
-            }
-            records.push(record);
+            let moved = |reject: &Reject| Reject { record: records.len() as u32, ..*reject };
+            rejects.extend(chunk.rejects_of(place).iter().map(moved));
+            records.push(chunk.records[place]);
         }
         Chunk { info: chunk.info, records: Cow::Owned(records), rejects: Cow::Owned(rejects) }
     }

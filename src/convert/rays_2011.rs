@@ -4,15 +4,17 @@
 //! v from the origin to the hit; 1: closest hit that missed, v the direction; 2: occlusion that was blocked, 3: one that was
 //! not, v from the origin to the target. There is no interval, no triangle, no pixel: see [`Rays2011Source`] and [`Rays2011Sink`] for what becomes of them.
 
+use super::queries::Pieces;
 use super::{ConvertError, Losses, Sink, Source};
 use crate::format::rays::{
-    Chunk, ChunkInfo, Header, MAX_CHUNK_RECORDS, NO_DEPTH, NO_PATH, NO_TRIANGLE, Purpose, Record, flag, kind,
+    Chunk, ChunkInfo, Header, NO_DEPTH, NO_PATH, NO_TRIANGLE, Purpose, Record, flag, kind,
 };
 use crate::format::{FormatError, Problem};
 use crate::geometry::Vec3;
 use bytemuck::{Pod, Zeroable};
 use std::borrow::Cow;
 use std::io::Write;
+use std::ops::Range;
 
 /// The word that ends a file.
 const END: i32 = 9215;
@@ -46,8 +48,7 @@ pub fn looks_like(bytes: &[u8]) -> bool {
 /// geometry, at time 0. The triangle of a hit is not known, so the flag [`flag::UNDECIDED`] says that no triangle decides it.
 pub struct Rays2011Source<'a> {
     bytes: &'a [u8],
-    count: u64,
-    next: u64,
+    pieces: Pieces,
     losses: Losses,
 }
 
@@ -69,7 +70,7 @@ impl<'a> Rays2011Source<'a> {
             let name = "end of a 2011 ray file";
             return Err(FormatError::field(offset, name, format!("\"{}\"", tail.escape_ascii()), expected));
         }
-        Ok(Rays2011Source { bytes, count: count as u64, next: 0, losses: Losses::default() })
+        Ok(Rays2011Source { bytes, pieces: Pieces::of(count as u64), losses: Losses::default() })
     }
 
     fn record(&mut self, legacy: &Legacy, offset: u64) -> Result<Record, FormatError> {
@@ -115,16 +116,12 @@ impl Source for Rays2011Source<'_> {
     }
 
     fn count(&self) -> u64 {
-        self.count
+        self.pieces.count
     }
 
     fn next(&mut self) -> Result<Option<Chunk<'_>>, ConvertError> {
-        let first = self.next;
-        self.next = self.count.min(first + MAX_CHUNK_RECORDS as u64);
-        if first == self.next {
-            return Ok(None);
-        }
-        let piece = &self.bytes[first as usize * BYTES..self.next as usize * BYTES];
+        let Some(Range { start: first, end }) = self.pieces.next() else { return Ok(None) };
+        let piece = &self.bytes[first as usize * BYTES..end as usize * BYTES];
         let mut records = Vec::with_capacity(piece.len() / BYTES);
         for (place, bytes) in piece.chunks_exact(BYTES).enumerate() {
             // The map of a file is aligned, but any slice is taken.

@@ -1,7 +1,7 @@
 //! Trees out of Embree: the one that it traverses, read from its memory, or that of `rtcBuildBVH`.
 
 use super::{EmbreeError, Scene, ffi};
-use crate::format::bvh::{Geometry, NO_INSTANCE};
+use crate::format::bvh::Geometry;
 use crate::geometry::Triangle;
 use crate::tree::{Node, Tree};
 use std::ptr::NonNull;
@@ -158,28 +158,4 @@ unsafe fn slice<'a, T>(data: *const T, count: u64) -> &'a [T] {
         // SAFETY: the caller's promise.
         unsafe { std::slice::from_raw_parts(data, count as usize) }
     }
-}
-
-/// The elements of `GEOM` for the parts of a mesh.
-pub(super) fn geometries(mesh: &crate::mesh::Mesh, mask: u32) -> Vec<Geometry> {
-    let mut first_triangle = 0;
-    mesh.parts
-        .iter()
-        .enumerate()
-        .map(|(index, part)| {
-            let triangle_count = (part.indices.len() / part.faces.corners() * part.faces.triangles()) as u32;
-            let geometry = Geometry {
-                instance: NO_INSTANCE,
-                geometry: index as u32,
-                first_triangle,
-                triangle_count,
-                mask,
-                kind: (part.faces == crate::mesh::Faces::Quads) as u32,
-                flags: 0,
-                reserved: 0,
-            };
-            first_triangle += triangle_count;
-            geometry
-        })
-        .collect()
 }

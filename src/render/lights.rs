@@ -86,7 +86,7 @@ impl Lights {
         let mut power = 0.0;
         let mut rest = triangles;
         for (part, appearance) in mesh.parts.iter().zip(appearances) {
-            let count = part.indices.len() / part.faces.corners() * part.faces.triangles();
+            let count = part.triangle_count();
             let (own, behind) = rest.split_at(count.min(rest.len()));
             rest = behind;
             if appearance.emission == Vec3::ZERO {

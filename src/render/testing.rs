@@ -20,7 +20,7 @@ impl BruteForce {
         let mut triangles = mesh.triangles().into_iter();
         let mut of_parts = Vec::new();
         for (number, part) in mesh.parts.iter().enumerate() {
-            let count = part.indices.len() / part.faces.corners() * part.faces.triangles();
+            let count = part.triangle_count();
             of_parts.extend(triangles.by_ref().take(count).map(|t| (number as u32, t)));
         }
         BruteForce { triangles: of_parts, asked: Vec::new() }

@@ -24,16 +24,8 @@ pub struct Levels {
 
 impl Levels {
     pub fn of(tree: TreeView) -> Levels {
-        let mut level = vec![0u32; tree.nodes.len()];
-        let mut depth = 0;
-        // Children stand behind their parent, so a node's level is known when it is reached.
-        for (index, node) in tree.nodes.iter().enumerate() {
-            depth = depth.max(level[index] as usize + 1);
-            if !node.is_leaf() {
-                let below = level[index] + 1;
-                level[node.range()].fill(below);
-            }
-        }
+        let level = tree.levels();
+        let depth = level.iter().max().map_or(0, |&deepest| deepest as usize + 1);
         let node_lines = std::mem::size_of_val(tree.nodes).div_ceil(LINE) as u64;
         Levels { level, first: tree.nodes.iter().map(|node| node.first).collect(), depth, node_lines }
     }

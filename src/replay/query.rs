@@ -2,7 +2,7 @@
 
 use super::select::{Filter, Portion, Sample};
 use crate::format::FormatError;
-use crate::format::rays::{Chunk, Rays, Record, Reject, flag};
+use crate::format::rays::{Chunk, Rays, Record, flag};
 use crate::geometry::Ray;
 use crate::traverse::{Hit, Observer, OcclusionOrder, Prepared, PreparedRay, Recorded, Scratch, Traversal};
 use std::ops::Range;
@@ -62,11 +62,7 @@ impl Choice {
         if !self.filter.accepts(record) || self.held_out.as_ref().is_some_and(trained) {
             return None;
         }
-        let rejects = if record.flags & flag::HAS_REJECTS != 0 {
-            rejects_of(&chunk.rejects, index as u32)
-        } else {
-            &[]
-        };
+        let rejects = chunk.rejects_of(index);
         let mut ray = record.ray();
         // Something that is not a triangle ended the ray: no triangle is hit before it.
         if record.flags & flag::UNDECIDED != 0 && record.is_hit() && !record.is_occlusion() {
@@ -89,13 +85,6 @@ impl Choice {
         }
         Ok(())
     }
-}
-
-/// The rejects of one record; they are sorted by record.
-fn rejects_of(rejects: &[Reject], record: u32) -> &[Reject] {
-    let start = rejects.partition_point(|reject| reject.record < record);
-    let count = rejects[start..].partition_point(|reject| reject.record == record);
-    &rejects[start..start + count]
 }
 
 impl Query<'_> {

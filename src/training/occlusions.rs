@@ -1,7 +1,7 @@
 //! Recorded occlusion queries, whole: with the masks and rejects that decide which triangles occlude. They choose and judge
 //! the order in which occlusion queries visit children ([`crate::optimize::order`]).
 
-use super::{Selection, TrainingError, rejects_of, same_scene, thin};
+use super::{Selection, TrainingError, same_scene, thin};
 use crate::format::bvh::Bvh;
 use crate::format::rays::{Rays, Reject};
 use crate::geometry::Ray;
@@ -49,7 +49,7 @@ pub fn read(selection: &Selection, rays: &Rays, bvh: &Bvh) -> Result<Occlusions,
             if !record.is_occlusion() || !selection.filter.accepts(record) {
                 continue;
             }
-            let rejects = rejects_of(&chunk, place);
+            let rejects = chunk.rejects_of(place).into();
             let trains = selection.portion.trains(record, firsts[index] + place as u64);
             let side = if trains { &mut found.training } else { &mut found.held_out };
             side.push(Occlusion { ray: record.ray(), mask: record.mask, rejects });

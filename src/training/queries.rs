@@ -1,6 +1,6 @@
 //! Training queries, whole: with the masks and rejects that decide what they hit. [`crate::recipe::auto`] judges trees by them.
 
-use super::{Selection, TrainingError, rejects_of, same_scene, thin};
+use super::{Selection, TrainingError, same_scene, thin};
 use crate::format::bvh::Bvh;
 use crate::format::rays::{Rays, Reject};
 use crate::geometry::Ray;
@@ -46,7 +46,7 @@ pub fn read(selection: &Selection, rays: &Rays, bvh: &Bvh) -> Result<Vec<Query>,
                     segment: record.effective_segment(),
                     is_occlusion: record.is_occlusion(),
                     mask: record.mask,
-                    rejects: rejects_of(&chunk, place),
+                    rejects: chunk.rejects_of(place).into(),
                     judges: judging.trains(record, number),
                 });
             }

@@ -5,7 +5,7 @@ use super::layout::{
     ChunkEntry, ChunkHeader, ChunkInfo, END_MARK, ENTRY_BYTES, FOOTER_BYTES, HEADER_BYTES, Header,
     INDEX_MAGIC,
 };
-use super::record::{Record, Reject};
+use super::record::{Record, Reject, flag};
 use super::recover::{Recovery, recover};
 use crate::format::{ALIGNMENT, FormatError, Problem, align, checksum, parse_at};
 use nom::number::complete::{le_u32, le_u64};
@@ -35,6 +35,18 @@ pub struct Chunk<'a> {
     pub records: Cow<'a, [Record]>,
     /// Sorted by record.
     pub rejects: Cow<'a, [Reject]>,
+}
+
+impl Chunk<'_> {
+    /// What the program refused of the record at `place`.
+    pub fn rejects_of(&self, place: usize) -> &[Reject] {
+        if self.records[place].flags & flag::HAS_REJECTS == 0 {
+            return &[];
+        }
+        let start = self.rejects.partition_point(|reject| (reject.record as usize) < place);
+        let count = self.rejects[start..].partition_point(|reject| reject.record as usize == place);
+        &self.rejects[start..start + count]
+    }
 }
 
 impl<'a> Rays<'a> {
