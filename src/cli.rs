@@ -107,25 +107,26 @@ pub fn run(program: &str, body: impl FnOnce() -> Result<Outcome, Failure>) -> Ex
 /// Runs a body as [`run`] does that has an exit code of its own: that of a program which it started.
 pub fn run_with_code(program: &str, body: impl FnOnce() -> Result<u8, Failure>) -> ExitCode {
     signals::install(program);
-    ended(program, start_threads().and_then(|()| body()), true)
+    ended(program, start_threads(0).and_then(|()| body()), true)
 }
 
-/// Rayon would start its threads at their first use, and panic where there is no memory for them.
-fn start_threads() -> Result<(), Failure> {
-    rayon::ThreadPoolBuilder::new().build_global().map_err(Failure::from)
+/// Starts the threads of rayon's pool; 0 is one per processor. Rayon would do so at their first use, and panic where there is no memory for them.
+fn start_threads(count: usize) -> Result<(), Failure> {
+    rayon::ThreadPoolBuilder::new().num_threads(count).build_global().map_err(Failure::from)
 }
 
-/// Runs a binary's body on every rank of an MPI job where `mpi` asks for it, else in this process alone. Where a rank fails, all end with
+/// Runs a binary's body, with so many threads (0: one per processor), on every rank of an MPI job where `mpi` asks for it, else in this process alone. Where a rank fails, all end with
 /// exit code 2, and the first says what failed and on which.
 pub fn run_on_ranks(
     program: &str,
     mpi: bool,
+    threads: usize,
     body: impl FnOnce(&dyn Ranks) -> Result<Outcome, Failure>,
 ) -> ExitCode {
     signals::install(program);
     match ranks::start(mpi) {
         Ok(ranks) => {
-            let result = start_threads().and_then(|()| body(&*ranks));
+            let result = start_threads(threads).and_then(|()| body(&*ranks));
             ended(program, agreed(&*ranks, result).map(Outcome::code), ranks.rank() == 0)
         }
         Err(error) => ended(program, Err(error.into()), true),

@@ -164,7 +164,7 @@ fn share(text: &str) -> Result<f64, String> {
 
 fn main() -> ExitCode {
     let arguments: Arguments = cli::parse(PROGRAM, std::env::args_os());
-    cli::run_on_ranks(PROGRAM, arguments.mpi, |ranks| run(&arguments, ranks))
+    cli::run_on_ranks(PROGRAM, arguments.mpi, arguments.threads, |ranks| run(&arguments, ranks))
 }
 
 fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
@@ -234,9 +234,7 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
     let queries: u64 = rays.iter().map(Rays::query_count).sum();
     let steps = queries * (trees.len() * settings.traversals.len()) as u64 / ranks.count() as u64;
     let progress = if prints { Progress::new("replaying", steps) } else { Progress::hidden() };
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(arguments.threads).build()?;
-    let comparison =
-        pool.install(|| compare::compare(&candidates, &recordings, settings, ranks, &progress))?;
+    let comparison = compare::compare(&candidates, &recordings, settings, ranks, &progress)?;
     drop(progress);
 
     let mut failures = comparison.failures();
@@ -266,12 +264,16 @@ fn print(arguments: &Arguments, comparison: &Comparison, failures: &[String]) ->
 }
 
 /// Reads files of one kind; an error says which file.
-fn parse_all<'a, T, E: std::error::Error>(
+fn parse_all<'a, T, E: std::error::Error + 'static>(
     paths: &[PathBuf],
     files: &'a [MappedFile],
     parse: impl Fn(&'a [u8]) -> Result<T, E>,
 ) -> Result<Vec<T>, Failure> {
-    paths.iter().zip(files).map(|(path, file)| parse(file).map_err(|error| at(path, error))).collect()
+    paths
+        .iter()
+        .zip(files)
+        .map(|(path, file)| parse(file).map_err(|error| Failure::in_file(path, error)))
+        .collect()
 }
 
 /// Refuses a recording of another scene, and returns what there is to warn of.
@@ -286,10 +288,6 @@ fn check(candidates: &[Candidate], Recording { path, rays, .. }: &Recording) -> 
     Ok(warnings)
 }
 
-fn at(path: &Path, error: impl std::error::Error) -> Failure {
-    Failure::new(format!("{}: {error}", path.display()))
-}
-
 fn write_page(path: &Path, comparison: &Comparison, failures: &[String]) -> Result<(), Failure> {
     let arguments = std::env::args_os().map(|argument| argument.to_string_lossy().into_owned());
     let page = html::render(comparison, &Circumstances::of(PROGRAM, arguments), failures);
@@ -302,7 +300,7 @@ fn write_pictures(directory: &Path, comparison: &Comparison) -> Result<(), Failu
     std::fs::create_dir_all(directory).map_err(|error| FileError::new(directory, "make", error))?;
     for map in heatmap::render(comparison) {
         let path = directory.join(&map.file_name);
-        map.picture.save(&path).map_err(|error| at(&path, error))?;
+        map.picture.save(&path).map_err(|error| Failure::in_file(&path, error))?;
     }
     eprintln!("{PROGRAM}: heat maps are in {}", directory.display());
     Ok(())

@@ -286,14 +286,12 @@ impl Traced {
         work: impl FnOnce(&Bvh, &Trace) -> Result<T, ExperimentError>,
     ) -> Result<T, Failure> {
         let (bvh_file, rays_file) = (MappedFile::open(bvh_path)?, MappedFile::open(&rays_path)?);
-        let at =
-            |path: &Path, error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", path.display()));
-        let bvh = Bvh::parse(&bvh_file).map_err(|error| at(bvh_path, &error))?;
-        let rays = Rays::parse(&rays_file).map_err(|error| at(&rays_path, &error))?;
+        let bvh = Bvh::parse(&bvh_file).map_err(|error| Failure::in_file(bvh_path, error))?;
+        let rays = Rays::parse(&rays_file).map_err(|error| Failure::in_file(&rays_path, error))?;
         let queries = if self.common.quick { self.queries.min(32_768) } else { self.queries };
-        let trace =
-            Trace::new(&bvh, &rays, queries, self.common.seed).map_err(|error| at(&rays_path, &error))?;
-        work(&bvh, &trace).map_err(|error| at(&rays_path, &error))
+        let trace = Trace::new(&bvh, &rays, queries, self.common.seed)
+            .map_err(|error| Failure::in_file(&rays_path, error))?;
+        work(&bvh, &trace).map_err(|error| Failure::in_file(&rays_path, error))
     }
 }
 

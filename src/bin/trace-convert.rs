@@ -4,7 +4,7 @@ use bytes::Bytes;
 use clap::{Parser, ValueEnum};
 use embree_trace::cli::{self, Failure, Outcome, TextOrJson};
 use embree_trace::convert::boxes::Style;
-use embree_trace::convert::numbering::Numbering;
+use embree_trace::convert::numbering::{Numbering, NumberingError};
 use embree_trace::convert::replayed::{Found, Replayer};
 use embree_trace::convert::trees::{self, Part};
 use embree_trace::convert::{ConvertError, Kind, Losses, Selection, Summary, copy, sink, source};
@@ -13,7 +13,6 @@ use embree_trace::format::bvh::Bvh;
 use embree_trace::format::rays::{Chunk, Codec};
 use embree_trace::progress::Progress;
 use embree_trace::replay::select::{Filter, parse_range};
-use std::fmt;
 use std::io::{self, Write};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -144,11 +143,6 @@ fn unknown(path: &Path, option: &str) -> Failure {
     ))
 }
 
-/// An error of the input, with its path.
-fn in_input(arguments: &Arguments, error: ConvertError) -> Failure {
-    Failure::new(format!("{}: {error}", arguments.input.display()))
-}
-
 /// Writes the output, whole or not at all, and counts its bytes.
 fn write<T>(
     arguments: &Arguments,
@@ -164,7 +158,7 @@ fn write<T>(
         Ok((out.bytes, value))
     });
     written.map_err(|error| match error.source.downcast::<ConvertError>() {
-        Ok(input) => in_input(arguments, input),
+        Ok(error) => Failure::in_file(&arguments.input, error),
         Err(source) => FileError { source, ..error }.into(),
     })
 }
@@ -172,17 +166,15 @@ fn write<T>(
 fn queries(arguments: &Arguments, file: &Bytes, from: Kind, to: Kind) -> Result<Summary, Failure> {
     let sample = arguments.sample.or((to == Kind::Obj).then_some(LINES));
     let selection = Selection { filter: arguments.filter.clone(), sample };
-    let located = |error| in_input(arguments, error);
+    let located = |error: ConvertError| Failure::in_file(&arguments.input, error);
     let mut queries = source(file, from).map_err(located)?;
     let mut header = queries.header();
     let tree = arguments.bvh.as_deref().map(MappedFile::open).transpose()?;
-    let in_tree = |error: &dyn fmt::Display| {
-        let path = arguments.bvh.as_deref().unwrap_or(Path::new(""));
-        Failure::new(format!("{}: {error}", path.display()))
-    };
-    let bvh = tree.as_deref().map(Bvh::parse).transpose().map_err(|error| in_tree(&error))?;
+    let tree_path = arguments.bvh.as_deref().unwrap_or(Path::new(""));
+    let bvh = tree.as_deref().map(Bvh::parse).transpose();
+    let bvh = bvh.map_err(|error| Failure::in_file(tree_path, error))?;
     let replayer = bvh.as_ref().map(|bvh| Replayer::new(bvh, header.fingerprint)).transpose();
-    let replayer = replayer.map_err(|error| in_tree(&error))?;
+    let replayer = replayer.map_err(|error| Failure::in_file(tree_path, error))?;
     if let Some(bvh) = &bvh {
         header.fingerprint = bvh.header.fingerprint;
     }
@@ -233,15 +225,12 @@ fn summary(arguments: &Arguments, from: Kind, to: Kind, unit: &'static str, loss
 
 fn tree(arguments: &Arguments, file: &Bytes, from: Kind, to: Kind) -> Result<Summary, Failure> {
     let mesh = arguments.mesh.as_deref();
-    let in_mesh = |error: &dyn fmt::Display| match mesh {
-        Some(path) => Failure::new(format!("{}: {error}", path.display())),
-        None => Failure::new(error),
-    };
-    let numbering = mesh.map(Numbering::read).transpose().map_err(|error| in_mesh(&error))?;
+    let in_mesh = |error: NumberingError| Failure::in_file(mesh.unwrap_or(Path::new("")), error);
+    let numbering = mesh.map(Numbering::read).transpose().map_err(in_mesh)?;
     let (bytes, converted) = if from == Kind::Bvh {
-        let bvh = Bvh::parse(file).map_err(|error| in_input(arguments, error.into()))?;
+        let bvh = Bvh::parse(file).map_err(|error| Failure::in_file(&arguments.input, error))?;
         let checked = numbering.as_ref().map(|numbering| numbering.check(bvh.triangles)).transpose();
-        checked.map_err(|error| in_mesh(&error))?;
+        checked.map_err(in_mesh)?;
         let options =
             trees::Options { part: arguments.part, levels: arguments.level.clone(), style: arguments.boxes };
         write(arguments, |out| trees::from_ours(&bvh, to, numbering.as_ref(), &options, out))?
@@ -254,7 +243,7 @@ fn tree(arguments: &Arguments, file: &Bytes, from: Kind, to: Kind) -> Result<Sum
         write(arguments, |out| trees::from_2011(file, numbering, out))?
     } else {
         let pair = ConvertError::Pair { from: from.name(), to: to.name() };
-        return Err(in_input(arguments, pair));
+        return Err(Failure::in_file(&arguments.input, pair));
     };
     let trees::Converted { unit, count, losses, warnings } = converted;
     Ok(Summary { bytes, count, warnings, ..summary(arguments, from, to, unit, losses) })

@@ -55,8 +55,8 @@ fn main() -> ExitCode {
         let tolerance = arguments.tolerance.map_or(Tolerance::Exact, Tolerance::Relative);
         let progress = Progress::new("comparing", a.len().min(b.len()) as u64 / 64);
         let report = compare(&a, &b, tolerance, &progress).map_err(|error| match error {
-            DiffError::A(error) => Failure::new(format!("{}: {error}", arguments.a.display())),
-            DiffError::B(error) => Failure::new(format!("{}: {error}", arguments.b.display())),
+            DiffError::A(error) => Failure::in_file(&arguments.a, error),
+            DiffError::B(error) => Failure::in_file(&arguments.b, error),
             DiffError::Kinds(..) => Failure::from(error),
         })?;
         drop(progress);

@@ -38,7 +38,9 @@ const BUDGET: Duration = Duration::from_secs(30);
 
 fn main() -> ExitCode {
     let arguments: Arguments = cli::parse("bvh-build", std::env::args_os());
-    cli::run_on_ranks("bvh-build", arguments.mpi, |ranks| run(&arguments, ranks))
+    // Ranks that ask each other have to ask in the same order.
+    let threads = if arguments.mpi { 1 } else { arguments.threads.into() };
+    cli::run_on_ranks("bvh-build", arguments.mpi, threads, |ranks| run(&arguments, ranks))
 }
 
 fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
@@ -62,10 +64,7 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
     }
     let bytes = MappedFile::open(&arguments.input)?;
     let before = Bvh::parse(&bytes).map_err(|error| Failure::in_file(&arguments.input, error))?;
-    // Ranks that ask each other have to ask in the same order.
-    let threads = if arguments.mpi { 1 } else { arguments.threads.into() };
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
-    let training = pool.install(|| arguments.training(&before, ranks))?;
+    let training = arguments.training(&before, ranks)?;
     let training_queries = training.segments.all;
     let output = (ranks.rank() == 0).then(|| OutputFile::create(&arguments.output)).transpose()?;
     // Nobody builds when the first cannot write.
@@ -75,7 +74,8 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
     let (recipe, made, auto) = if arguments.binary {
         (asked, Made { tree: collapse::binary(before.tree, before.triangles), optimized: None }, None)
     } else {
-        pool.install(|| arguments.make(&before, &training, ranks))
+        arguments
+            .make(&before, &training, ranks)
             .map_err(|error| Failure::in_file(&arguments.input, error))?
     };
     let Made { mut tree, optimized } = made;
@@ -107,7 +107,7 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
     let wants_order = arguments.order || !training.occlusions.training.is_empty();
     let ordered = wants_order.then(|| {
         let prepared = Prepared::new(tree.view(), before.triangles, before.geometries);
-        pool.install(|| ordered(&prepared, tree.view(), &training.occlusions, arguments))
+        ordered(&prepared, tree.view(), &training.occlusions, arguments)
     });
     let kept = flag::FLATTENED | if arguments.binary { flag::SPATIAL_SPLITS } else { 0 };
     let mut producer = recipe.builder.producer(recipe.heuristic.name());
@@ -132,7 +132,7 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
         "references": tree.primitives.len(),
         "training_queries": training_queries,
         "seconds": seconds,
-        "threads": pool.current_num_threads(),
+        "threads": rayon::current_num_threads(),
         "build": meta,
         "before": described(before.tree, &recipe.builder),
         "after": described(tree.view(), &recipe.builder),

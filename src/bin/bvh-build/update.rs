@@ -12,34 +12,31 @@ use embree_trace::recipe::{Heuristic, Recipe};
 use embree_trace::update::Moving;
 use embree_trace::update::policy::{Policy, State};
 use serde_json::{Value, json};
-use std::path::Path;
 use std::time::Instant;
 
 pub fn run(arguments: &Arguments, follow: &Follow) -> Result<Outcome, Failure> {
     let recipe = arguments.recipe();
     recipe.check()?;
-    let at =
-        |path: &Path, error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", path.display()));
     let [bytes, bytes_before] = [MappedFile::open(&arguments.input)?, MappedFile::open(&follow.previous)?];
-    let frame = Bvh::parse(&bytes).map_err(|error| at(&arguments.input, &error))?;
-    let previous = Bvh::parse(&bytes_before).map_err(|error| at(&follow.previous, &error))?;
-    Moving::check_frame(previous.triangles, frame.triangles).map_err(|error| at(&arguments.input, &error))?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(arguments.threads.into()).build()?;
-    let rays = pool.install(|| segments(arguments, &previous))?;
+    let frame = Bvh::parse(&bytes).map_err(|error| Failure::in_file(&arguments.input, error))?;
+    let previous = Bvh::parse(&bytes_before).map_err(|error| Failure::in_file(&follow.previous, error))?;
+    Moving::check_frame(previous.triangles, frame.triangles)
+        .map_err(|error| Failure::in_file(&arguments.input, error))?;
+    let rays = segments(arguments, &previous)?;
     let output = OutputFile::create(&arguments.output)?;
 
     // What the steps before left for this one.
     let before = previous.meta.and_then(|meta| serde_json::from_str::<Value>(meta).ok()).unwrap_or_default();
     let cost_when_built = before["update"]["cost_when_built"].as_f64();
-    let moving = Moving::new(previous.tree).map_err(|error| at(&follow.previous, &error))?;
+    let moving = Moving::new(previous.tree).map_err(|error| Failure::in_file(&follow.previous, error))?;
     let mut state = State { moving, cost_when_built };
     let heuristic =
         if recipe.heuristic.needs_rays() && rays.is_empty() { Heuristic::Sah } else { recipe.heuristic };
     let policy =
         Policy { method: follow.method, limit: arguments.limit, recipe: Recipe { heuristic, ..recipe } };
     let started = Instant::now();
-    let step = pool.install(|| policy.step(&mut state, frame.triangles, &rays));
-    let step = step.map_err(|error| at(&follow.previous, &error))?;
+    let step = policy.step(&mut state, frame.triangles, &rays);
+    let step = step.map_err(|error| Failure::in_file(&follow.previous, error))?;
     let seconds = started.elapsed().as_secs_f64();
     let cost_when_built = state.cost_when_built;
     let tree = state.moving.tree();
@@ -75,7 +72,7 @@ pub fn run(arguments: &Arguments, follow: &Follow) -> Result<Outcome, Failure> {
         "references": tree.primitives.len(),
         "training_queries": rays.len(),
         "seconds": seconds,
-        "threads": pool.current_num_threads(),
+        "threads": rayon::current_num_threads(),
         "build": meta,
         "before": described(previous.tree, &policy.recipe.builder),
         "after": described(tree.view(), &policy.recipe.builder),
@@ -87,8 +84,11 @@ pub fn run(arguments: &Arguments, follow: &Follow) -> Result<Outcome, Failure> {
 /// Effective segments of the frame before.
 fn segments(arguments: &Arguments, previous: &Bvh) -> Result<Vec<Ray>, Failure> {
     let Some(path) = &arguments.rays else { return Ok(Vec::new()) };
-    let at = |error: &dyn std::fmt::Display| Failure::new(format!("{}: {error}", path.display()));
     let bytes = MappedFile::open(path)?;
-    let rays = Rays::parse(&bytes).map_err(|error| at(&error))?;
-    Ok(arguments.selection().read(&rays, previous, &Alone).map_err(|error| at(&error))?.own)
+    let rays = Rays::parse(&bytes).map_err(|error| Failure::in_file(path, error))?;
+    Ok(arguments
+        .selection()
+        .read(&rays, previous, &Alone)
+        .map_err(|error| Failure::in_file(path, error))?
+        .own)
 }
