@@ -1,7 +1,7 @@
 //! What must hold of every reader, whatever bytes it is given.
 //!
-//! A target is a function of bytes that panics where a promise is broken. Plain targets (`rays`, `bvh`, `bvh_2011`, `mesh`) give the bytes to the reader;
-//! structured ones (`rays_file`, `bvh_file`) take them as the description of a valid file and of changes to it, made behind its checksums.
+//! A target is a function of bytes that panics where a promise is broken. Plain targets (`rays`, `bvh`, `bvh_2011`, `queries`, `mesh`) give the bytes to the reader;
+//! structured ones (`rays_file`, `bvh_file`, `table`) take them as the description of a valid file and of changes to it, made behind its checksums.
 //! The binaries in `targets/` hand them to libFuzzer; `tests/readers` in the root calls them for the corpus, and uses the descriptions
 //! in property tests. Nothing here depends on libFuzzer.
 
@@ -10,9 +10,11 @@ pub mod bvh_2011;
 pub mod bvh_file;
 pub mod edit;
 pub mod mesh;
+pub mod queries;
 pub mod rays;
 pub mod rays_file;
 pub mod repair;
+pub mod table;
 
 use arbitrary::{Result, Unstructured};
 use std::fmt::Display;
@@ -24,12 +26,16 @@ pub struct Target {
 }
 
 /// Every target.
-pub const TARGETS: [Target; 7] = [
+pub const TARGETS: [Target; 11] = [
     Target { name: "rays", check: rays::check },
     Target { name: "rays_structured", check: rays_file::check },
     Target { name: "bvh", check: bvh::check },
     Target { name: "bvh_structured", check: bvh_file::check },
     Target { name: "bvh_2011", check: bvh_2011::check },
+    Target { name: "rays_2011", check: queries::check_rays_2011 },
+    Target { name: "npy", check: queries::check_npy },
+    Target { name: "parquet", check: queries::check_parquet },
+    Target { name: "parquet_structured", check: table::check },
     Target { name: "obj", check: mesh::check_obj },
     Target { name: "ply", check: mesh::check_ply },
 ];

@@ -35,6 +35,11 @@ impl Content {
         Ok(Content { header: rays.header.clone(), chunks: chunks? })
     }
 
+    /// Every record, in the order of the file.
+    pub fn records(&self) -> Vec<Record> {
+        self.chunks.iter().flat_map(|(_, records, _)| bytemuck::pod_collect_to_vec(records)).collect()
+    }
+
     /// Every query, in an order that does not depend on that of the chunks.
     pub fn queries(&self) -> Vec<Query> {
         let mut queries = Vec::new();
@@ -55,7 +60,7 @@ impl Content {
     }
 }
 
-fn own(chunk: Chunk) -> ChunkContent {
+pub(crate) fn own(chunk: Chunk) -> ChunkContent {
     (chunk.info, bytemuck::cast_slice(&chunk.records).to_vec(), chunk.rejects.into_owned())
 }
 
@@ -126,7 +131,7 @@ fn check_places(rays: &Rays, length: u64) {
 }
 
 /// Kinds are known, rejects are sorted and belong to the records whose flags say so.
-fn check_chunk(chunk: &Chunk) {
+pub(crate) fn check_chunk(chunk: &Chunk) {
     let mut named = vec![false; chunk.records.len()];
     for reject in chunk.rejects.iter() {
         named[reject.record as usize] = true;

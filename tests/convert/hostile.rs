@@ -1,10 +1,15 @@
 //! Damage: whatever the bytes, one line and no more memory than the file is worth.
 
-use super::support::{Place, legacy, legacy_file, recording};
+use super::support::{Place, hit, legacy, legacy_file, recording};
 use super::trees::plain;
 use bytes::Bytes;
-use embree_trace::convert::{ConvertError, Kind, bvh_2011, source};
+use embree_trace::convert::{ConvertError, Kind, bvh_2011, sink, source};
+use embree_trace::format::rays::{Chunk, ChunkInfo, Codec, Header, Record, Reject, flag};
 use embree_trace::geometry::{Triangle, Vec3};
+use parquet::file::properties::WriterProperties;
+use parquet::file::writer::SerializedFileWriter;
+use parquet::schema::parser::parse_message_type;
+use std::sync::Arc;
 
 /// Reads all queries of a file that may be anything.
 fn read(bytes: &[u8], kind: Kind) -> Result<usize, ConvertError> {
@@ -141,6 +146,56 @@ fn damaged_tables_are_refused_or_other_queries() {
         }
         copy[bit / 8] ^= 1 << (bit % 8);
     }
+}
+
+/// The error of the first thing that is wrong with a table.
+fn refused_table(bytes: &[u8]) -> String {
+    read(bytes, Kind::Parquet).unwrap_err().to_string()
+}
+
+#[test]
+fn tables_with_two_columns_of_one_name_are_refused() {
+    let whole = "REQUIRED FLOAT t; REQUIRED GROUP rejects (LIST) { REPEATED GROUP list { REQUIRED INT32 a;";
+    for (columns, name) in [("} } REQUIRED DOUBLE t;", "t"), ("REQUIRED INT32 b; } }", "rejects")] {
+        let schema = parse_message_type(&format!("message table {{ {whole} {columns} }}")).unwrap();
+        let writer =
+            SerializedFileWriter::new(Vec::new(), Arc::new(schema), Arc::new(WriterProperties::new()));
+        let line = refused_table(&writer.unwrap().into_inner().unwrap());
+        assert!(line.ends_with(&format!("column {name}: there is a second one")), "{line}");
+    }
+}
+
+/// A table of one query with so many rejects, all of one triangle.
+fn table_of_rejects(count: usize) -> Vec<u8> {
+    let records = [Record { flags: flag::HIT | flag::HAS_REJECTS, ..hit() }];
+    let rejects = vec![Reject { record: 0, triangle: 7 }; count];
+    let mut bytes = Vec::new();
+    let mut sink = sink(&mut bytes, Kind::Parquet, &Header::default(), 1, Codec::Raw).unwrap();
+    let info = ChunkInfo::default();
+    sink.write(&Chunk { info, records: records[..].into(), rejects: rejects.into() }).unwrap();
+    sink.finish().unwrap();
+    bytes
+}
+
+#[test]
+fn tables_with_more_than_their_bytes_are_worth_are_refused() {
+    assert_eq!(read(&table_of_rejects(1000), Kind::Parquet).unwrap(), 1);
+    // One value more than one per row and 2^24 beside.
+    let bytes = table_of_rejects((16 << 20) + 2);
+    assert!(bytes.len() < 20_000, "{}", bytes.len());
+    let line = refused_table(&bytes);
+    assert!(line.contains("over 16777216 values in the 1 rows of a row group"), "{line}");
+
+    // A page header: type 2, a dictionary; two sizes; in field 7, the number of values.
+    let mut bytes = table_of_rejects(1);
+    let at = bytes.windows(8).position(
+        |header| matches!(header, [0x15, 0x04, 0x15, decoded, 0x15, _, 0x4C, 0x15] if decoded >> 1 == 4),
+    );
+    let values = at.expect("a dictionary of one value") + 8;
+    assert_eq!(bytes[values] >> 1, 1);
+    bytes[values] = 2 << 1;
+    let line = refused_table(&bytes);
+    assert!(line.contains("the header of a page, or the size that it says, is damaged"), "{line}");
 }
 
 fn scene() -> Vec<Triangle> {

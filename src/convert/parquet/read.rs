@@ -11,6 +11,7 @@ use parquet::data_type::DataType;
 use parquet::errors::ParquetError;
 use parquet::file::metadata::RowGroupMetaData;
 use parquet::file::reader::{FileReader, SerializedFileReader};
+use parquet::schema::types::SchemaDescriptor;
 use std::borrow::Cow;
 use std::collections::HashMap;
 
@@ -18,12 +19,13 @@ use std::collections::HashMap;
 pub struct ParquetSource {
     bytes: Bytes,
     reader: SerializedFileReader<Bytes>,
+    wanted: Vec<Wanted>,
     header: Header,
     count: u64,
     /// The row group to be opened next.
     group: usize,
     /// Of the open row group.
-    columns: Vec<(Content, Column)>,
+    columns: Vec<Column>,
     left: usize,
     /// Rows of all that was read.
     row: u64,
@@ -44,11 +46,20 @@ struct Piece {
     given: usize,
 }
 
-struct Column {
+/// A column of the table that is read.
+#[derive(Clone, Copy)]
+struct Wanted {
+    /// Its number among all columns of the table.
+    index: usize,
     name: &'static str,
-    reader: ColumnReader,
+    content: Content,
     /// Definition level of a value that is there.
     defined: i16,
+}
+
+struct Column {
+    wanted: Wanted,
+    reader: ColumnReader,
 }
 
 impl From<ParquetError> for ConvertError {
@@ -71,25 +82,7 @@ impl ParquetSource {
     fn read(bytes: Bytes) -> Result<ParquetSource, ConvertError> {
         let reader = SerializedFileReader::new(bytes.clone())?;
         let metadata = reader.metadata();
-        let known: Vec<String> = metadata
-            .file_metadata()
-            .schema_descr()
-            .columns()
-            .iter()
-            .map(|column| column.path().string())
-            .collect();
-        let missing: Vec<&str> = COLUMNS
-            .iter()
-            .filter(|(name, content)| !content.may_be_missing() && !known.iter().any(|column| column == name))
-            .map(|&(name, _)| name)
-            .collect();
-        if !missing.is_empty() {
-            let expected = "a table of queries as trace-convert writes it";
-            return Err(wrong(format!(
-                "the columns {} are missing; expected {expected}",
-                missing.join(", ")
-            )));
-        }
+        let wanted = wanted(metadata.file_metadata().schema_descr())?;
         let mut count = 0_u64;
         for group in metadata.row_groups() {
             let rows = rows(group)?;
@@ -109,6 +102,7 @@ impl ParquetSource {
         Ok(ParquetSource {
             bytes,
             reader,
+            wanted,
             header,
             count,
             group: 0,
@@ -131,25 +125,9 @@ impl ParquetSource {
                 continue;
             }
             self.columns.clear();
-            for (index, column) in group.metadata().schema_descr().columns().iter().enumerate() {
-                let path = column.path().parts();
-                // A list is a column within a column, whatever the writer calls what is between.
-                let plain = path.len() == 1;
-                let name = path.first().map_or("", String::as_str);
-                let wanted = COLUMNS
-                    .iter()
-                    .chain([&REJECTS])
-                    .find(|&&(known, content)| known == name && plain != (content == Content::Rejects));
-                let Some(&(name, content)) = wanted else { continue };
-                let levels = (column.max_rep_level(), column.max_def_level());
-                if levels.0 != i16::from(!plain) {
-                    return Err(wrong(format!(
-                        "column {name}: a list of lists; expected one value or one list a row"
-                    )));
-                }
-                pages::check(&self.bytes, group.metadata().column(index))?;
-                let reader = group.get_column_reader(index)?;
-                self.columns.push((content, Column { name, reader, defined: levels.1 }));
+            for &wanted in &self.wanted {
+                pages::check(&self.bytes, group.metadata().column(wanted.index), self.left as u64)?;
+                self.columns.push(Column { wanted, reader: group.get_column_reader(wanted.index)? });
             }
             return Ok(true);
         }
@@ -169,8 +147,8 @@ impl ParquetSource {
         for (row, info) in piece.infos.iter_mut().enumerate() {
             info.sequence = self.row + row as u64;
         }
-        for (content, column) in &mut self.columns {
-            column.read(*content, rows, self.row, &mut piece)?;
+        for column in &mut self.columns {
+            column.read(rows, self.row, &mut piece)?;
         }
         let mut has_rejects = vec![false; rows];
         piece.rejects.iter().for_each(|reject| has_rejects[reject.record as usize] = true);
@@ -193,6 +171,43 @@ impl ParquetSource {
     }
 }
 
+/// The columns of a table that are queries'. All row groups have the same ones.
+fn wanted(schema: &SchemaDescriptor) -> Result<Vec<Wanted>, ConvertError> {
+    let mut found: Vec<Wanted> = Vec::new();
+    for (index, column) in schema.columns().iter().enumerate() {
+        let path = column.path().parts();
+        // A list is a column within a column, whatever the writer calls what is between.
+        let plain = path.len() == 1;
+        let first = path.first().map_or("", String::as_str);
+        let known = COLUMNS
+            .iter()
+            .chain([&REJECTS])
+            .find(|&&(name, content)| name == first && plain != (content == Content::Rejects));
+        let Some(&(name, content)) = known else { continue };
+        if column.max_rep_level() != i16::from(!plain) {
+            return Err(wrong(format!(
+                "column {name}: a list of lists; expected one value or one list a row"
+            )));
+        }
+        if found.iter().any(|other| other.name == name) {
+            return Err(wrong(format!("column {name}: there is a second one")));
+        }
+        found.push(Wanted { index, name, content, defined: column.max_def_level() });
+    }
+    let missing: Vec<&str> = COLUMNS
+        .iter()
+        .filter(|(name, content)| {
+            !content.may_be_missing() && !found.iter().any(|column| column.name == *name)
+        })
+        .map(|&(name, _)| name)
+        .collect();
+    if missing.is_empty() {
+        return Ok(found);
+    }
+    let expected = "a table of queries as trace-convert writes it";
+    Err(wrong(format!("the columns {} are missing; expected {expected}", missing.join(", "))))
+}
+
 /// Rows of a row group; the format lets it say less than none.
 fn rows(group: &RowGroupMetaData) -> Result<usize, ConvertError> {
     usize::try_from(group.num_rows()).map_err(|_| wrong(format!("a row group of {} rows", group.num_rows())))
@@ -200,21 +215,15 @@ fn rows(group: &RowGroupMetaData) -> Result<usize, ConvertError> {
 
 impl Column {
     /// Reads the values of `rows` rows, of which the first is number `first` of the table, into their places.
-    fn read(
-        &mut self,
-        content: Content,
-        rows: usize,
-        first: u64,
-        piece: &mut Piece,
-    ) -> Result<(), ConvertError> {
-        let name = self.name;
+    fn read(&mut self, rows: usize, first: u64, piece: &mut Piece) -> Result<(), ConvertError> {
+        let Wanted { name, content, defined, .. } = self.wanted;
         if content == Content::Rejects {
             let (definitions, repetitions, values) = self.integers(rows)?;
             let mut values = values.into_iter();
             let mut starts = 0;
             for (&definition, &repetition) in definitions.iter().zip(&repetitions) {
                 starts += usize::from(repetition == 0);
-                if definition < self.defined {
+                if definition < defined {
                     continue;
                 }
                 let triangle = values.next().and_then(|value| u32::try_from(value).ok());
@@ -272,7 +281,7 @@ impl Column {
 
     /// Whether every row has a value.
     fn whole(&self, values: usize, rows: usize, first: u64) -> Result<(), ConvertError> {
-        let name = self.name;
+        let name = self.wanted.name;
         if values == rows {
             return Ok(());
         }
@@ -288,13 +297,13 @@ impl Column {
             ColumnReader::DoubleColumnReader(reader) => {
                 Ok(values(reader, rows)?.2.into_iter().map(|value| value as f32).collect())
             }
-            _ => Err(wrong(format!("column {}: expected FLOAT", self.name))),
+            _ => Err(wrong(format!("column {}: expected FLOAT", self.wanted.name))),
         }
     }
 
     /// Levels and values; 32 bits are taken as unsigned, and 64 bits of a number within the thread.
     fn integers(&mut self, rows: usize) -> Result<Values<i128>, ConvertError> {
-        let sequence = self.name == "sequence";
+        let sequence = self.wanted.content == Content::Sequence;
         match &mut self.reader {
             ColumnReader::Int32ColumnReader(reader) => {
                 let (definitions, repetitions, values) = values(reader, rows)?;
@@ -309,7 +318,7 @@ impl Column {
                 let wide = |value: i64| if sequence { i128::from(value as u64) } else { value.into() };
                 Ok((definitions, repetitions, values.into_iter().map(wide).collect()))
             }
-            _ => Err(wrong(format!("column {}: expected whole numbers", self.name))),
+            _ => Err(wrong(format!("column {}: expected whole numbers", self.wanted.name))),
         }
     }
 }
