@@ -400,6 +400,11 @@ fn a_broken_index_is_refused() {
     }
     let right = [&bytes[..end], &index(end as u64, &[entry(0), entry(1), entry(2)]).0].concat();
     assert_eq!(right, bytes);
+    // The end follows the entries at once.
+    for zeros in [1, 15, 16, 48, 64] {
+        let apart = [&bytes[..footer], &vec![0; zeros][..], &bytes[footer..]].concat();
+        assert!(Rays::parse(&apart).is_err(), "{zeros}");
+    }
 }
 
 #[test]

@@ -246,9 +246,8 @@ fn indexed_chunks(bytes: &[u8]) -> Result<Vec<ChunkEntry>, FormatError> {
     }
     let body = index + HEADER_BYTES;
     let available = footer - body;
-    let fits = header.stored_bytes <= available && available - header.stored_bytes < ALIGNMENT;
-    if !fits || header.stored_bytes % ENTRY_BYTES != 0 {
-        let expected = format!("a multiple of {ENTRY_BYTES} that fills the {available} up to the end mark");
+    if header.stored_bytes != available || available % ENTRY_BYTES != 0 {
+        let expected = format!("a multiple of {ENTRY_BYTES}: the {available} bytes up to the end mark");
         return Err(FormatError::field(index + 32, "bytes of the index", header.stored_bytes, expected));
     }
     if header.codec != 0 || header.decoded_bytes != header.stored_bytes {
