@@ -1,6 +1,6 @@
 //! Changes to fields of a file: values at which readers tend to be wrong.
 
-use arbitrary::Arbitrary;
+use arbitrary::{Arbitrary, Result, Unstructured};
 
 /// What a field becomes.
 #[derive(Clone, Copy, Debug, Arbitrary)]
@@ -47,7 +47,7 @@ impl Value {
 
 /// Damage to the bytes of a whole file, which no checksum hides.
 #[derive(Clone, Copy, Debug, Arbitrary)]
-pub enum Damage {
+enum Damage {
     /// Only so many bytes are left, modulo the length.
     Cut(u16),
     Flip {
@@ -62,7 +62,7 @@ pub enum Damage {
 }
 
 impl Damage {
-    pub fn apply(self, bytes: &mut Vec<u8>) {
+    fn apply(self, bytes: &mut Vec<u8>) {
         let within = |at: u16, length: usize| at as usize % length.max(1);
         match self {
             Damage::Cut(length) => bytes.truncate(within(length, bytes.len())),
@@ -77,6 +77,23 @@ impl Damage {
                 bytes.splice(at..at, std::iter::repeat_n(0, count.into()));
             }
         }
+    }
+}
+
+/// Up to two damages; whether there were any.
+pub fn damage(u: &mut Unstructured, bytes: &mut Vec<u8>) -> Result<bool> {
+    let count = u.int_in_range(0..=2u8)?;
+    for _ in 0..count {
+        u.arbitrary::<Damage>()?.apply(bytes);
+    }
+    Ok(count > 0)
+}
+
+/// Sets the byte at a place, modulo the length.
+pub fn set(bytes: &mut [u8], at: u16, value: u8) {
+    let at = at as usize % bytes.len().max(1);
+    if let Some(byte) = bytes.get_mut(at) {
+        *byte = value;
     }
 }
 

@@ -82,7 +82,7 @@ fn check_written(mesh: &Mesh) {
 }
 
 /// Two meshes are the same, where one NaN is like another.
-fn assert_same(mesh: &Mesh, other: &Mesh) {
+pub fn assert_same(mesh: &Mesh, other: &Mesh) {
     assert_eq!(bits(mesh), bits(other));
     assert_eq!((&mesh.parts, &mesh.materials), (&other.parts, &other.materials));
 }
@@ -91,7 +91,8 @@ fn bits(mesh: &Mesh) -> Vec<[u32; 3]> {
     mesh.vertices.iter().map(|&vertex| canonical(vertex)).collect()
 }
 
-fn written(mesh: &Mesh) -> Mesh {
+/// The mesh written as OBJ, and read again.
+pub fn written(mesh: &Mesh) -> Mesh {
     let (mut text, mut library) = (Vec::new(), Vec::new());
     if let Err(error) = obj::write(mesh, "a.mtl", &mut text, &mut library, &Progress::hidden()) {
         panic!("memory is no full disk: {error}");

@@ -1,7 +1,6 @@
-//! The mesh readers and generators as other programs use them: odd files, hostile files, real scenes, fixtures.
+//! The mesh readers and generators as other programs use them: odd files, real scenes, fixtures. Hostile files: tests/readers.
 
 mod fixtures;
-mod hostile;
 mod obj;
 mod ply;
 mod scenes;

@@ -3,8 +3,9 @@
 use crate::fuzz::bvh_file::{self, Pieces as BvhPieces, Remake as BvhRemake};
 use crate::fuzz::rays::Content;
 use crate::fuzz::rays_file::{self, Pieces, Remake};
-use crate::fuzz::{TARGETS, bvh, rays};
+use crate::fuzz::{TARGETS, bvh, queries, rays, table};
 use arbitrary::{Arbitrary, Unstructured};
+use embree_trace::convert::Kind;
 use embree_trace::format::bvh::{Bvh, Section};
 use embree_trace::format::rays::{Rays, flag};
 use proptest::prelude::*;
@@ -113,6 +114,12 @@ proptest! {
         prop_assert_eq!((bvh.order, bvh.meta), (file.order.as_deref(), file.meta.as_deref()));
         prop_assert_eq!((bvh.header.flags, &bvh.header.producer), (file.flags, &file.producer));
         bvh::check(&bytes);
+    }
+
+    #[test]
+    fn a_table_holds_what_was_written(file in described::<rays_file::File>()) {
+        let (bytes, expected) = table::ours(&file);
+        prop_assert_eq!(queries::read(&bytes, Kind::Parquet).ok(), Some(expected));
     }
 
     #[test]

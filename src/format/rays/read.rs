@@ -246,7 +246,7 @@ fn indexed_chunks(bytes: &[u8]) -> Result<Vec<ChunkEntry>, FormatError> {
     }
     let body = index + HEADER_BYTES;
     let available = footer - body;
-    if header.stored_bytes != available || available % ENTRY_BYTES != 0 {
+    if header.stored_bytes != available || !available.is_multiple_of(ENTRY_BYTES) {
         let expected = format!("a multiple of {ENTRY_BYTES}: the {available} bytes up to the end mark");
         return Err(FormatError::field(index + 32, "bytes of the index", header.stored_bytes, expected));
     }
