@@ -7,7 +7,7 @@ pub mod bvh;
 mod error;
 pub mod rays;
 
-pub use error::{FormatError, Problem};
+pub use error::{FormatError, Problem, excerpt};
 
 use nom::{IResult, Parser};
 

@@ -87,7 +87,7 @@ fn own(bytes: &[u8], kind: Kind) -> Content {
     read(bytes, kind).unwrap_or_else(|error| panic!("our own file is refused: {error}"))
 }
 
-/// What a reader makes of a file: all of it, or [`LOOKED_AT`] queries and the rest of their chunk.
+/// What a reader makes of a file: all of it, or its first chunks, of at most [`LOOKED_AT`] queries.
 pub fn read(bytes: &[u8], kind: Kind) -> Result<Content, ConvertError> {
     let bytes = Bytes::copy_from_slice(bytes);
     let mut source = source(&bytes, kind)?;
@@ -97,10 +97,10 @@ pub fn read(bytes: &[u8], kind: Kind) -> Result<Content, ConvertError> {
         assert!((1..=MAX_CHUNK_RECORDS).contains(&chunk.records.len()));
         rays::check_chunk(&chunk);
         count += chunk.records.len();
-        chunks.push(rays::own(chunk));
         if count > LOOKED_AT {
             return Ok(Content { header, chunks });
         }
+        chunks.push(rays::own(chunk));
     }
     assert_eq!(count as u64, source.count());
     Ok(Content { header, chunks })

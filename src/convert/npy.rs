@@ -6,7 +6,7 @@
 use super::queries::Pieces;
 use super::{ConvertError, Losses, Sink, Source};
 use crate::format::rays::{Chunk, ChunkInfo, Header, Record, flag, kind};
-use crate::format::{ALIGNMENT, FormatError, Problem};
+use crate::format::{ALIGNMENT, FormatError, Problem, excerpt};
 use std::borrow::Cow;
 use std::io::Write;
 use std::mem::offset_of;
@@ -60,8 +60,7 @@ fn read_header(bytes: &[u8]) -> Result<(usize, u64), FormatError> {
     let end = start.checked_add(length).filter(|&end| end <= bytes.len());
     let end = end.ok_or_else(|| truncated(start.saturating_add(length)))?;
     let wrong = |name: &str, found: &str, expected: &str| {
-        let cut: String = found.chars().take(160).collect();
-        FormatError::field(start as u64, format!("{name} of the .npy"), cut, expected)
+        FormatError::field(start as u64, format!("{name} of the .npy"), excerpt(found, 160), expected)
     };
     let text = String::from_utf8_lossy(&bytes[start..end]);
     let packed: String = text.chars().filter(|c| !c.is_whitespace()).collect();

@@ -5,15 +5,18 @@
 //! recording. Tables that other programs wrote are read, too, whatever their row groups: a column may then be optional, of wider
 //! numbers, and the last four may be missing.
 
+mod footer;
 mod guard;
 mod pages;
 mod read;
+mod thrift;
 mod write;
 
 pub use read::ParquetSource;
 pub use write::ParquetSink;
 
 use super::ConvertError;
+use crate::format::excerpt;
 use crate::format::rays::Record;
 use std::mem::offset_of;
 
@@ -28,8 +31,9 @@ mod key {
     pub const PRODUCER: &str = "embree_trace.producer";
 }
 
+/// What is wrong with a table. Names of columns, and what the crate `parquet` says, may have anything from the file in them.
 fn wrong(what: impl ToString) -> ConvertError {
-    ConvertError::Table(what.to_string())
+    ConvertError::Table(excerpt(&what.to_string(), 1000))
 }
 
 /// What a column holds.

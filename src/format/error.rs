@@ -45,6 +45,11 @@ pub enum Problem {
     Unaligned,
 }
 
+/// Text from a file, as it may stand in an error: its first `most` characters, in one line.
+pub fn excerpt(text: &str, most: usize) -> String {
+    text.chars().take(most).map(|c| if c.is_control() { '?' } else { c }).collect()
+}
+
 fn needed_text(needed: Option<u64>) -> String {
     needed.map_or(String::new(), |needed| format!(", expected {needed}"))
 }

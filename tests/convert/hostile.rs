@@ -153,15 +153,32 @@ fn refused_table(bytes: &[u8]) -> String {
     read(bytes, Kind::Parquet).unwrap_err().to_string()
 }
 
+/// A table without rows.
+fn empty_table(columns: &str) -> Vec<u8> {
+    let schema = parse_message_type(&format!("message table {{ {columns} }}")).unwrap();
+    let properties = Arc::new(WriterProperties::new());
+    let writer = SerializedFileWriter::new(Vec::new(), Arc::new(schema), properties).unwrap();
+    writer.into_inner().unwrap()
+}
+
 #[test]
 fn tables_with_two_columns_of_one_name_are_refused() {
     let whole = "REQUIRED FLOAT t; REQUIRED GROUP rejects (LIST) { REPEATED GROUP list { REQUIRED INT32 a;";
     for (columns, name) in [("} } REQUIRED DOUBLE t;", "t"), ("REQUIRED INT32 b; } }", "rejects")] {
-        let schema = parse_message_type(&format!("message table {{ {whole} {columns} }}")).unwrap();
-        let writer =
-            SerializedFileWriter::new(Vec::new(), Arc::new(schema), Arc::new(WriterProperties::new()));
-        let line = refused_table(&writer.unwrap().into_inner().unwrap());
+        let line = refused_table(&empty_table(&format!("{whole} {columns}")));
         assert!(line.ends_with(&format!("column {name}: there is a second one")), "{line}");
+    }
+}
+
+#[test]
+fn tables_of_columns_within_columns_are_refused() {
+    let nested = |depth: usize| {
+        format!("{}REQUIRED INT32 a;{}", "REQUIRED GROUP g { ".repeat(depth), " }".repeat(depth))
+    };
+    for (depth, expected) in [(900, "the columns origin_x, "), (1100, "1101 columns that consist of others")]
+    {
+        let line = refused_table(&empty_table(&nested(depth)));
+        assert!(line.contains(expected), "{line}");
     }
 }
 

@@ -1,7 +1,7 @@
 //! Reading a table, ours or another program's: pieces of at most a chunk, with all columns in step.
 
 use super::guard::guarded;
-use super::{COLUMNS, Content, REJECTS, key, pages, wrong};
+use super::{COLUMNS, Content, REJECTS, footer, key, pages, wrong};
 use crate::convert::{ConvertError, Losses, Source};
 use crate::format::rays::{Chunk, ChunkInfo, Header, MAX_CHUNK_RECORDS, Record, Reject, flag, kind};
 use bytemuck::Zeroable;
@@ -64,7 +64,7 @@ struct Column {
 
 impl From<ParquetError> for ConvertError {
     fn from(error: ParquetError) -> ConvertError {
-        ConvertError::Table(error.to_string())
+        wrong(error)
     }
 }
 
@@ -80,6 +80,7 @@ impl ParquetSource {
     }
 
     fn read(bytes: Bytes) -> Result<ParquetSource, ConvertError> {
+        footer::check(&bytes)?;
         let reader = SerializedFileReader::new(bytes.clone())?;
         let metadata = reader.metadata();
         let wanted = wanted(metadata.file_metadata().schema_descr())?;

@@ -1,6 +1,7 @@
 //! The text at the start of a PLY file: which elements follow, and how their numbers are written.
 
 use super::PlyError;
+use crate::format::excerpt;
 
 /// A header beyond this is none.
 const MAX_HEADER: usize = 1 << 20;
@@ -103,7 +104,7 @@ impl Header {
             number += 1;
             let error = |what: &str| PlyError::Header {
                 line: number,
-                what: format!("{what}: `{}`", shortened(&text)),
+                what: format!("{what}: `{}`", excerpt(&text, 60)),
             };
             let words: Vec<&str> = text.split_whitespace().collect();
             match words.as_slice() {
@@ -145,8 +146,4 @@ impl Header {
         }
         Err(PlyError::NoEndOfHeader(window.len()))
     }
-}
-
-fn shortened(text: &str) -> String {
-    text.chars().take(60).map(|c| if c.is_control() { '?' } else { c }).collect()
 }
