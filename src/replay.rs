@@ -5,6 +5,7 @@
 //! whole chunk. Memory does not grow with the file: a few chunks per thread, tallies, one image when pixels are wanted.
 
 pub mod check;
+pub mod exact;
 pub mod pixels;
 pub mod profile;
 pub mod query;

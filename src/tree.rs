@@ -3,6 +3,7 @@
 //! A builder returns a [`Tree`], a `.bvh` file is viewed as a [`TreeView`]; both have the same nodes, byte for
 //! byte those of the `NODE` section, so that nothing is converted between file and use.
 
+pub mod binary;
 pub mod collapse;
 pub mod depth_first;
 pub mod epo;

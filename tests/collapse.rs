@@ -8,6 +8,7 @@ use embree_trace::format::bvh::{self, Bvh, Contents};
 use embree_trace::geometry::Triangle;
 use embree_trace::progress::Progress;
 use embree_trace::traverse::*;
+use embree_trace::tree::binary::binary;
 use embree_trace::tree::statistics::Statistics;
 use embree_trace::tree::validate::validate;
 use embree_trace::tree::{Tree, collapse};
@@ -30,7 +31,7 @@ fn answers_do_not_depend_on_the_width() {
         for width in [2, 3, 4, 5, 8] {
             let config = collapse::Config::vector(width);
             let wide = collapse::collapse(tree.view(), area, &config).expect("a binary tree");
-            let again = collapse::binary(wide.view(), &triangles);
+            let again = binary(wide.view(), &triangles);
             for other in [wide, again] {
                 let prepared = Prepared::new(other.view(), &triangles, &[]);
                 for ray in rays.iter().map(PreparedRay::new) {

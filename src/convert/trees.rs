@@ -4,7 +4,7 @@ use super::boxes::{Style, write_boxes, write_triangles};
 use super::numbering::Numbering;
 use super::{ConvertError, Kind, Losses, bvh_2011, npy};
 use crate::format::bvh::{self, Bvh, Contents, flag};
-use crate::tree::collapse;
+use crate::tree::binary::binary;
 use clap::ValueEnum;
 use serde_json::json;
 use std::io::Write;
@@ -110,7 +110,7 @@ fn array<T: bytemuck::Pod>(
 fn to_2011(bvh: &Bvh, numbering: Option<&Numbering>, out: &mut dyn Write) -> Result<Converted, ConvertError> {
     let mut losses = Losses::default();
     let mut warnings = Vec::new();
-    let binary = (!bvh_2011::is_binary(bvh.tree)).then(|| collapse::binary(bvh.tree, bvh.triangles));
+    let binary = (!bvh_2011::is_binary(bvh.tree)).then(|| binary(bvh.tree, bvh.triangles));
     let mut order = bvh.order;
     if let Some(binary) = &binary {
         let (wide, now) = (bvh.tree.nodes.len(), binary.nodes.len());

@@ -1,18 +1,17 @@
 //! A cast picture and its overlay, drawn by wgpu into a texture: what a window shows and what a screenshot reads back.
 //!
-//! [`Painter`] has the pipelines and keeps the buffers of batches that do not change; a [`Canvas`] has the textures of one view. The depths of the
+//! [`Painter`] has the [pipelines] and keeps the buffers of batches that do not change; a [`Canvas`] has the textures of one view. The depths of the
 //! cast picture become the depth buffer, so that lines are hidden by surfaces that no GPU has ever seen.
+
+mod pipelines;
 
 use super::cast::Image;
 use super::overlay::{Batch, Corner, Line, Overlay, Point, Shapes};
 use crate::render::camera::Camera;
 use bytemuck::{Pod, Zeroable};
 use eframe::egui_wgpu::wgpu::{self, util::DeviceExt};
+use pipelines::{COLOR, DEPTH, Pipelines, Sides};
 use std::collections::HashMap;
-
-/// Of the texture that is shown.
-const COLOR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
-const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 
 /// What is the same for all shapes of a frame; as in `overlay.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -39,9 +38,6 @@ pub struct Look {
     pub most: usize,
 }
 
-/// A pipeline for what is before surfaces, and one for what is behind them.
-struct Pipelines([wgpu::RenderPipeline; 2]);
-
 /// The buffers of a batch.
 struct Kept {
     /// Keeps the shapes alive, so that their address stays theirs.
@@ -56,14 +52,7 @@ struct Kept {
 pub struct Painter {
     device: wgpu::Device,
     queue: wgpu::Queue,
-    frame_layout: wgpu::BindGroupLayout,
-    batch_layout: wgpu::BindGroupLayout,
-    cast_layout: wgpu::BindGroupLayout,
-    surface: wgpu::RenderPipeline,
-    lines: Pipelines,
-    points: Pipelines,
-    faces: Pipelines,
-    smooth: wgpu::Sampler,
+    pipelines: Pipelines,
     /// By the address of the batch's shapes.
     kept: HashMap<usize, Kept>,
     /// Whether anything was drawn since buffers were given up.
@@ -98,77 +87,11 @@ impl Canvas {
     }
 }
 
-fn uniform_entry(binding: u32) -> wgpu::BindGroupLayoutEntry {
-    wgpu::BindGroupLayoutEntry {
-        binding,
-        visibility: wgpu::ShaderStages::VERTEX_FRAGMENT,
-        ty: wgpu::BindingType::Buffer {
-            ty: wgpu::BufferBindingType::Uniform,
-            has_dynamic_offset: false,
-            min_binding_size: None,
-        },
-        count: None,
-    }
-}
-
-fn texture_entry(binding: u32, filterable: bool) -> wgpu::BindGroupLayoutEntry {
-    wgpu::BindGroupLayoutEntry {
-        binding,
-        visibility: wgpu::ShaderStages::FRAGMENT,
-        ty: wgpu::BindingType::Texture {
-            sample_type: wgpu::TextureSampleType::Float { filterable },
-            view_dimension: wgpu::TextureViewDimension::D2,
-            multisampled: false,
-        },
-        count: None,
-    }
-}
-
 impl Painter {
     pub fn new(device: &wgpu::Device, queue: &wgpu::Queue) -> Painter {
-        let layout = |label, entries: &[wgpu::BindGroupLayoutEntry]| {
-            device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries })
-        };
-        let frame_layout = layout("frame", &[uniform_entry(0)]);
-        let batch_layout = layout("batch", &[uniform_entry(0)]);
-        let sampler = wgpu::BindGroupLayoutEntry {
-            binding: 2,
-            visibility: wgpu::ShaderStages::FRAGMENT,
-            ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
-            count: None,
-        };
-        let cast_layout = layout("cast", &[texture_entry(0, true), texture_entry(1, false), sampler]);
-        let module = device.create_shader_module(wgpu::include_wgsl!("overlay.wgsl"));
-        let maker = Maker { device, module, frame: &frame_layout };
-        let steps = wgpu::VertexStepMode::Instance;
-        let attributes = wgpu::vertex_attr_array![0 => Float32x4, 1 => Float32x3, 2 => Unorm8x4];
-        let lines = maker.shapes("line", &batch_layout, size_of::<Line>(), steps, &attributes);
-        let attributes = wgpu::vertex_attr_array![0 => Float32x4, 1 => Unorm8x4];
-        let points = maker.shapes("point", &batch_layout, size_of::<Point>(), steps, &attributes);
-        let attributes = wgpu::vertex_attr_array![0 => Float32x3, 1 => Unorm8x4];
-        let steps = wgpu::VertexStepMode::Vertex;
-        let faces = maker.shapes("face", &batch_layout, size_of::<Corner>(), steps, &attributes);
-        let surface = maker.surface(&cast_layout);
-        let smooth = device.create_sampler(&wgpu::SamplerDescriptor {
-            mag_filter: wgpu::FilterMode::Linear,
-            min_filter: wgpu::FilterMode::Linear,
-            ..Default::default()
-        });
+        let pipelines = Pipelines::new(device);
         let (device, queue) = (device.clone(), queue.clone());
-        Painter {
-            device,
-            queue,
-            frame_layout,
-            batch_layout,
-            cast_layout,
-            surface,
-            lines,
-            points,
-            faces,
-            smooth,
-            kept: HashMap::new(),
-            drawn: false,
-        }
+        Painter { device, queue, pipelines, kept: HashMap::new(), drawn: false }
     }
 
     fn texture(
@@ -203,7 +126,7 @@ impl Painter {
         let frame = self.uniform(size_of::<Frame>());
         let frame_group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: None,
-            layout: &self.frame_layout,
+            layout: &self.pipelines.frame_layout,
             entries: &[wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() }],
         });
         Canvas { size, color, depth, frame, frame_group, cast: None }
@@ -239,11 +162,14 @@ impl Painter {
         let views = [&color, &depth].map(|texture| texture.create_view(&Default::default()));
         let group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: None,
-            layout: &self.cast_layout,
+            layout: &self.pipelines.cast_layout,
             entries: &[
                 wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&views[0]) },
                 wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&views[1]) },
-                wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::Sampler(&self.smooth) },
+                wgpu::BindGroupEntry {
+                    binding: 2,
+                    resource: wgpu::BindingResource::Sampler(&self.pipelines.smooth),
+                },
             ],
         });
         Cast { size, color, depth, group }
@@ -304,7 +230,7 @@ impl Painter {
         });
         pass.set_bind_group(0, &canvas.frame_group, &[]);
         if let Some(cast) = &canvas.cast {
-            pass.set_pipeline(&self.surface);
+            pass.set_pipeline(&self.pipelines.surface);
             pass.set_bind_group(1, &cast.group, &[]);
             pass.draw(0..3, 0..1);
         }
@@ -312,12 +238,12 @@ impl Painter {
             let Some(kept) = self.kept.get(&key) else { continue };
             pass.set_bind_group(1, &kept.group, &[]);
             pass.set_vertex_buffer(0, kept.vertices.slice(..));
-            let (pipelines, vertices, instances) = match &batch.shapes {
-                Shapes::Lines(_) => (&self.lines, 6, count),
-                Shapes::Points(_) => (&self.points, 6, count),
-                Shapes::Faces(_) => (&self.faces, count, 1),
+            let (sides, vertices, instances) = match &batch.shapes {
+                Shapes::Lines(_) => (&self.pipelines.lines, 6, count),
+                Shapes::Points(_) => (&self.pipelines.points, 6, count),
+                Shapes::Faces(_) => (&self.pipelines.faces, count, 1),
             };
-            let [before, behind] = &pipelines.0;
+            let Sides { before, behind } = sides;
             if batch.behind > 0.0 {
                 pass.set_pipeline(behind);
                 pass.draw(0..vertices, 0..instances);
@@ -354,7 +280,7 @@ impl Painter {
             let settings = self.uniform(16);
             let group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
                 label: None,
-                layout: &self.batch_layout,
+                layout: &self.pipelines.batch_layout,
                 entries: &[wgpu::BindGroupEntry { binding: 0, resource: settings.as_entire_binding() }],
             });
             let kept = Kept { _shapes: batch.shapes.clone(), vertices, settings, group, used: true };
@@ -382,104 +308,4 @@ impl Painter {
 
 fn extent([width, height]: [u32; 2]) -> wgpu::Extent3d {
     wgpu::Extent3d { width, height, depth_or_array_layers: 1 }
-}
-
-/// Makes pipelines.
-struct Maker<'a> {
-    device: &'a wgpu::Device,
-    module: wgpu::ShaderModule,
-    frame: &'a wgpu::BindGroupLayout,
-}
-
-/// What tells two pipelines apart.
-struct Stage<'a> {
-    name: &'a str,
-    group: &'a wgpu::BindGroupLayout,
-    buffers: &'a [Option<wgpu::VertexBufferLayout<'a>>],
-    depth_write: bool,
-    compare: wgpu::CompareFunction,
-    blend: wgpu::BlendState,
-    constants: &'a [(&'a str, f64)],
-}
-
-impl Maker<'_> {
-    fn surface(&self, group: &wgpu::BindGroupLayout) -> wgpu::RenderPipeline {
-        self.pipeline(&Stage {
-            name: "surface",
-            group,
-            buffers: &[],
-            depth_write: true,
-            compare: wgpu::CompareFunction::Always,
-            blend: wgpu::BlendState::REPLACE,
-            constants: &[],
-        })
-    }
-
-    fn shapes(
-        &self,
-        name: &str,
-        group: &wgpu::BindGroupLayout,
-        bytes: usize,
-        step_mode: wgpu::VertexStepMode,
-        attributes: &[wgpu::VertexAttribute],
-    ) -> Pipelines {
-        let buffer = wgpu::VertexBufferLayout { array_stride: bytes as u64, step_mode, attributes };
-        let pipeline = |compare, behind| {
-            self.pipeline(&Stage {
-                name,
-                group,
-                buffers: &[Some(buffer.clone())],
-                depth_write: false,
-                compare,
-                blend: wgpu::BlendState::ALPHA_BLENDING,
-                constants: &[("BEHIND", behind)],
-            })
-        };
-        // Greater is nearer.
-        Pipelines([
-            pipeline(wgpu::CompareFunction::GreaterEqual, 0.0),
-            pipeline(wgpu::CompareFunction::Less, 1.0),
-        ])
-    }
-
-    fn pipeline(&self, stage: &Stage) -> wgpu::RenderPipeline {
-        let layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some(stage.name),
-            bind_group_layouts: &[Some(self.frame), Some(stage.group)],
-            immediate_size: 0,
-        });
-        let options = wgpu::PipelineCompilationOptions { constants: stage.constants, ..Default::default() };
-        let (vertex, fragment) = (format!("{}_vertex", stage.name), format!("{}_fragment", stage.name));
-        self.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some(stage.name),
-            layout: Some(&layout),
-            vertex: wgpu::VertexState {
-                module: &self.module,
-                entry_point: Some(&vertex),
-                compilation_options: options.clone(),
-                buffers: stage.buffers,
-            },
-            primitive: wgpu::PrimitiveState::default(),
-            depth_stencil: Some(wgpu::DepthStencilState {
-                format: DEPTH,
-                depth_write_enabled: Some(stage.depth_write),
-                depth_compare: Some(stage.compare),
-                stencil: wgpu::StencilState::default(),
-                bias: wgpu::DepthBiasState::default(),
-            }),
-            multisample: wgpu::MultisampleState::default(),
-            fragment: Some(wgpu::FragmentState {
-                module: &self.module,
-                entry_point: Some(&fragment),
-                compilation_options: options,
-                targets: &[Some(wgpu::ColorTargetState {
-                    format: COLOR,
-                    blend: Some(stage.blend),
-                    write_mask: wgpu::ColorWrites::ALL,
-                })],
-            }),
-            multiview_mask: None,
-            cache: None,
-        })
-    }
 }

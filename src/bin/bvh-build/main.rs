@@ -18,7 +18,7 @@ use embree_trace::training::Segments;
 use embree_trace::training::occlusions::{self, Occlusions};
 use embree_trace::training::queries::{self, Query};
 use embree_trace::traverse::Prepared;
-use embree_trace::tree::collapse;
+use embree_trace::tree::binary::binary;
 use order::ordered;
 use report::{described, optimization, print};
 use serde_json::{Value, json};
@@ -72,7 +72,7 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
 
     let started = Instant::now();
     let (recipe, made, auto) = if arguments.binary {
-        (asked, Made { tree: collapse::binary(before.tree, before.triangles), optimized: None }, None)
+        (asked, Made { tree: binary(before.tree, before.triangles), optimized: None }, None)
     } else {
         arguments
             .make(&before, &training, ranks)

@@ -126,8 +126,10 @@ fn zigzag(value: u64) -> i64 {
 mod tests {
     use super::*;
 
+    type Number = (Vec<i64>, i64);
+
     /// Every number with its path, and how many bytes are left.
-    fn numbers(bytes: &[u8]) -> Option<(Vec<(Vec<i64>, i64)>, usize)> {
+    fn numbers(bytes: &[u8]) -> Option<(Vec<Number>, usize)> {
         let mut found = Vec::new();
         let rest = walk(bytes, &mut |path, value| found.push((path.to_vec(), value)))?;
         Some((found, rest.len()))
