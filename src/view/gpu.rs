@@ -1,6 +1,6 @@
 //! A cast picture and its overlay, drawn by wgpu into a texture: what a window shows and what a screenshot reads back.
 //!
-//! [`Painter`] has the [pipelines] and keeps the buffers of batches that do not change; a [`Canvas`] has the textures of one view. The depths of the
+//! [`Painter`] has the pipelines and keeps the buffers of batches that do not change; a [`Canvas`] has the textures of one view. The depths of the
 //! cast picture become the depth buffer, so that lines are hidden by surfaces that no GPU has ever seen.
 
 mod pipelines;
