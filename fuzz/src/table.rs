@@ -166,15 +166,15 @@ impl<'a> Arbitrary<'a> for Foreign {
             .set_compression(compression)
             .set_writer_version(version)
             .set_dictionary_enabled(u.arbitrary()?)
-            .set_data_page_row_count_limit(u.int_in_range(1..=100)?)
-            .set_write_batch_size(u.int_in_range(1..=100)?);
+            .set_data_page_row_count_limit(u.int_in_range(10..=100)?)
+            .set_write_batch_size(u.int_in_range(10..=100)?);
         if u.arbitrary()? {
             properties = properties.set_encoding(Encoding::PLAIN);
         }
         Ok(Foreign {
             columns,
             good,
-            rows_per_group: u.int_in_range(1..=200)?,
+            rows_per_group: u.int_in_range(30..=200)?,
             properties: properties.build(),
         })
     }
