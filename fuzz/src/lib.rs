@@ -46,6 +46,11 @@ fn check_line(error: &impl Display) {
     assert!(!line.is_empty() && !line.contains(['\n', '\r']), "not one line: {line:?}");
 }
 
+/// The bits of a number, with one pattern for every NaN: text and wider numbers keep neither its sign nor its payload.
+fn bits(value: f32) -> u32 {
+    if value.is_nan() { f32::NAN.to_bits() } else { value.to_bits() }
+}
+
 /// Up to 24 bytes of any text without a zero.
 fn text(u: &mut Unstructured) -> Result<String> {
     let length = u.int_in_range(0..=8usize)?.min(u.len());

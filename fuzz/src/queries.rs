@@ -1,7 +1,7 @@
 //! What queries in the formats of others are once their reader has accepted them: a recording that our own format takes, and that goes back.
 
-use super::check_line;
 use super::rays::{self, Content};
+use super::{bits, check_line};
 use bytes::Bytes;
 use embree_trace::convert::{ConvertError, Kind, sink, source};
 use embree_trace::format::rays::{Chunk, ChunkInfo, Codec, Header, MAX_CHUNK_RECORDS, Rays, Record};
@@ -24,12 +24,10 @@ pub fn check_rays_2011(bytes: &[u8]) {
     }
 }
 
-/// The bits of a record, with one bit pattern for every NaN.
-fn without_payloads(record: &Record) -> Vec<u32> {
-    let one = |value: f32| if value.is_nan() { f32::NAN } else { value };
-    let mut record = *record;
-    record.direction = record.direction.map(one);
-    bytemuck::cast_slice(bytemuck::bytes_of(&record)).to_vec()
+/// The bits of a record, with one pattern for every NaN of its direction.
+fn without_payloads(record: &Record) -> [u32; 16] {
+    let direction = record.direction.map(|value| f32::from_bits(bits(value)));
+    bytemuck::cast(Record { direction, ..*record })
 }
 
 /// Reads any bytes as an array of NumPy.

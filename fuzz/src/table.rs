@@ -2,6 +2,7 @@
 //!
 //! Parquet has no checksums that would have to be made again, but its footer says how long it is.
 
+use super::bits;
 use super::queries::{check_parquet, read, write};
 use super::rays::Content;
 use super::rays_file::File;
@@ -201,16 +202,13 @@ impl Foreign {
 }
 
 /// A record as a table of wider numbers and without rejects keeps it: a NaN remains one.
-fn kept(record: &Record) -> Vec<u32> {
-    let mut words: [u32; 16] = bytemuck::cast(*record);
-    for word in words.iter_mut().enumerate().filter_map(|(at, word)| is_float(at).then_some(word)) {
-        if f32::from_bits(*word).is_nan() {
-            *word = f32::NAN.to_bits();
-        }
-    }
-    let mut record: Record = bytemuck::cast(words);
+fn kept(mut record: Record) -> [u32; 16] {
     record.flags &= !flag::HAS_REJECTS;
-    bytemuck::cast_slice(&[record]).to_vec()
+    let mut words: [u32; 16] = bytemuck::cast(record);
+    for (_, word) in words.iter_mut().enumerate().filter(|(number, _)| is_float(*number)) {
+        *word = bits(f32::from_bits(*word));
+    }
+    words
 }
 
 /// The file's queries as a table, and what a reader must find in it.
@@ -312,7 +310,7 @@ fn run(u: &mut Unstructured) -> Result<()> {
             // Where there are no rows, types and values are not looked at.
             let bare = expected.records().is_empty();
             assert!(foreign.good || bare && !twice, "read in spite of {:?}", foreign.columns);
-            let kept = |records: Vec<Record>| -> Vec<Vec<u32>> { records.iter().map(kept).collect() };
+            let kept = |records: Vec<Record>| -> Vec<_> { records.into_iter().map(kept).collect() };
             assert_eq!(kept(found.records()), kept(expected.records()));
         }
         (Err(error), foreign) => {
