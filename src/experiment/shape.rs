@@ -120,17 +120,20 @@ fn across(random: &mut Random) -> DVec3 {
     }
 }
 
-/// Half a sphere of radius 100 around the origin, towards `pole`: ring k has 6 (k + 1) points at height
-/// 1 - ((k + 1) / rings)² of the radius, the last one on the equator. Their first points are towards `u`, across the pole.
-fn dome(rings: usize, pole: Vec3, u: Vec3) -> Vec<Triangle> {
-    let v = pole.cross(u);
+/// Half a sphere of radius 100 around the origin, towards `pole`: ring k has 6 (k + 1) points at
+/// height 1 - ((k + 1) / rings)² of the radius, the last one on the equator. As in the author's
+/// program, a ring's points begin at v1 and go towards v2, where v2 = normalised(y × pole) and v1 =
+/// normalised(v2 × pole).
+fn dome(rings: usize, pole: Vec3) -> Vec<Triangle> {
+    let v2 = Vec3::Y.cross(pole).normalize();
+    let v1 = v2.cross(pole).normalize();
     let ring = |k: usize| -> Vec<Vec3> {
         let height = 1.0 - ((k + 1) as f64 / rings as f64).powi(2);
         let radius = (1.0 - height * height).sqrt();
         let points = 6 * (k + 1);
         let point = |index| {
             let (sin, cos) = (TAU * index as f64 / points as f64).sin_cos();
-            100.0 * (height as f32 * pole + (radius * cos) as f32 * u + (radius * sin) as f32 * v)
+            100.0 * (height as f32 * pole + (radius * cos) as f32 * v1 + (radius * sin) as f32 * v2)
         };
         (0..points).map(point).collect()
     };
@@ -154,15 +157,16 @@ fn dome(rings: usize, pole: Vec3, u: Vec3) -> Vec<Triangle> {
     triangles
 }
 
-/// 1728 triangles: two domes of 12 rings.
+/// 1728 triangles: a dome of 12 rings towards z, and the same mirrored in the centre.
 pub fn sphere() -> Vec<Triangle> {
-    [dome(12, Vec3::Z, Vec3::X), dome(12, Vec3::NEG_Z, Vec3::X)].concat()
+    let half = dome(12, Vec3::Z);
+    let mirrored = half.iter().map(|triangle| Triangle(triangle.0.map(|corner| -corner))).collect();
+    [half, mirrored].concat()
 }
 
-/// 1734 triangles: a dome of 17 rings, towards -x. The parameters do not say where its rings begin: y was chosen because
-/// the ratio at focus 0 then is nearer to the re-run's than with z.
+/// 1734 triangles: a dome of 17 rings, towards -x.
 pub fn hemisphere() -> Vec<Triangle> {
-    dome(17, Vec3::NEG_X, Vec3::Y)
+    dome(17, Vec3::NEG_X)
 }
 
 /// 1682 triangles: 29 × 29 cells of a square of 400 at x = 0, centred.
@@ -175,11 +179,11 @@ pub fn plane() -> Vec<Triangle> {
 
 /// 1702 triangles: 23 cells along `axis`, from -200 to 200 times it, and 37 around, at radius 100. The ends are open.
 ///
-/// The parameters do not say where the points around begin: across x was chosen because trees from rays at focus 0.2 and
-/// 0.4 then cost about what the re-run's do. At focus 0 they cost less than those; beginning at x it is the other way round.
+/// As in the author's program, the points around begin at u = normalised(axis × (1.3, 23.4, 12.2)),
+/// a direction that stands for none in particular, and go towards v = normalised(u × axis).
 pub fn tube(axis: DVec3) -> Vec<Triangle> {
-    let v = DVec3::X;
-    let u = axis.cross(v).normalize();
+    let u = axis.cross(DVec3::new(1.3, 23.4, 12.2)).normalize();
+    let v = u.cross(axis).normalize();
     grid(23, 37, |along, around| {
         let height = 400.0 * along as f64 / 23.0 - 200.0;
         let (sin, cos) = (TAU * (around % 37) as f64 / 37.0).sin_cos();
@@ -235,6 +239,21 @@ mod tests {
             assert!(corners.iter().all(|p| (p.length() - 100.0).abs() < 1e-3));
         }
         assert!(hemisphere().iter().all(|t| t.bounds().upper.x < 1e-3));
+    }
+
+    /// Worked out by hand from the author's vectors.
+    #[test]
+    fn points_begin_where_the_authors_do() {
+        // Towards -x: v2 = z and v1 = -y; the first ring is at height 1 - 1/17².
+        let first = hemisphere()[0].0[1];
+        assert!((first - Vec3::new(-99.653_98, -8.311_69, 0.0)).length() < 1e-3, "{first}");
+        // Along y: u = normalised(12.2, 0, -1.3), v = normalised(u × y) = normalised(1.3, 0, 12.2).
+        let [first, second, _] = tube(DVec3::Y)[0].0;
+        assert!((first - Vec3::new(99.437_07, -200.0, -10.595_75)).length() < 1e-3, "{first}");
+        let turned = Vec3::new(99.797_44, -200.0, 6.361_6);
+        assert!((second - turned).length() < 1e-3, "{second}");
+        let (near, far) = (&sphere()[..864], &sphere()[864..]);
+        assert!(near.iter().zip(far).all(|(a, b)| a.0.map(|corner| -corner) == b.0));
     }
 
     #[test]
