@@ -157,8 +157,12 @@ struct Scene<'a> {
 
 impl<'a> Scene<'a> {
     fn new(tree: TreeView<'a>, triangles: &[Triangle]) -> Scene<'a> {
-        let prepared =
-            |&index: &u32| PreparedTriangle { vertices: triangles[index as usize], index, mask: !0 };
+        let prepared = |&index: &u32| PreparedTriangle {
+            vertices: triangles[index as usize],
+            index,
+            mask: !0,
+            instance_mask: !0,
+        };
         Scene { tree, triangles: tree.primitives.iter().map(prepared).collect() }
     }
 

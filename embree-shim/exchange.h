@@ -3,7 +3,10 @@
  *
  * The mapping: ExchangeHeader; u32 numbers[EXCHANGE_SCENES]; u8 captures[EXCHANGE_CAPTURES]; slots. A thread of the program
  * owns a slot, fills it and marks it full; embree-trace empties it and marks it free. `count` is right at any moment, so what
- * stands in a slot whose owner was killed is not lost. Every field that both sides touch is accessed atomically. */
+ * stands in a slot whose owner was killed is not lost. Every field that both sides touch is accessed atomically.
+ *
+ * An owner holds its slot's lock, a robust mutex of several processes: the kernel says so when it ends with it, however it ends.
+ * Then whoever needs a slot marks the abandoned one full in its place. */
 #ifndef EMBREE_TRACE_EXCHANGE_H
 #define EMBREE_TRACE_EXCHANGE_H
 
@@ -12,7 +15,7 @@
 #include "shim.h"
 
 /* Changes with every change of this file. */
-#define EXCHANGE_MAGIC 0x3330684378457445ull
+#define EXCHANGE_MAGIC 0x3430684378457445ull
 
 enum {
   EXCHANGE_SLOTS = 256,          /* threads that can record at a time */
@@ -47,6 +50,7 @@ typedef struct ExchangeHeader {
   uint64_t unrecorded;   /* queries for which there was no slot */
   uint64_t unnumbered;   /* queries of scenes that could not be captured */
   uint64_t lost_rejects; /* rejects that could not be assigned, or were too many */
+  uint64_t interrupted;  /* closest-hit queries whose interval the program's own functions have changed */
   uint32_t failed;       /* 1 being written, 2: `failure` says what went wrong first */
   char failure[256];
 } ExchangeHeader;
@@ -57,7 +61,7 @@ typedef struct ExchangeSlot {
   uint32_t count;  /* complete records */
   uint32_t reject_count;
   uint64_t sequence; /* number, within the thread, of the first record */
-  uint64_t unused[5];
+  uint64_t lock[5]; /* a pthread_mutex_t: held by the owner */
   ShimRecord records[EXCHANGE_RECORDS];
   uint16_t scenes[EXCHANGE_RECORDS]; /* of each record */
   uint32_t rejects[EXCHANGE_REJECTS][2]; /* index of the record, triangle; those of complete records first */

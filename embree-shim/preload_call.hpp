@@ -29,13 +29,13 @@ class Call {
     coherent_ = coherent;
     // It stays: threads may share a context.
     if (filter != nullptr && *filter != nullptr) *filter = wrapped(*filter);
-    frame_ = {thread, scene_.capture, thread->frame, thread->rejected_count, 1, nullptr, nullptr};
+    frame_ = {thread, scene_.capture, thread->frame, thread->rejected_count, thread->changed_count, 1, nullptr, nullptr};
     thread->frame = &frame_;
   }
 
   ~Call() {
     if (frame_.thread == nullptr) return;
-    frame_.thread->rejected_count = frame_.first_rejected;
+    forget();
     frame_.thread->frame = frame_.outer;
   }
 
@@ -65,7 +65,7 @@ class Call {
     Thread& thread = *frame_.thread;
     const std::uint32_t first = next_;
     while (next_ < thread.rejected_count && thread.rejected[next_].lane == lane) next_++;
-    preload::record(thread, scene_, closest, coherent_, at, asked_tfar, geometry_before, thread.rejected + first,
+    preload::record(thread, scene_, lane, closest, coherent_, at, asked_tfar, geometry_before, thread.rejected + first,
                     next_ - first);
   }
 
@@ -75,8 +75,11 @@ class Call {
     record(0, closest, at, asked_tfar, geometry_before);
   }
 
-  // Before the next block.
-  void forget_rejects() noexcept { frame_.thread->rejected_count = frame_.first_rejected; }
+  // What filters did: before the next block, and at the end.
+  void forget() noexcept {
+    frame_.thread->rejected_count = frame_.first_rejected;
+    frame_.thread->changed_count = frame_.first_changed;
+  }
 
  private:
   Frame frame_{};
@@ -115,7 +118,7 @@ void ask_block(Call& call, unsigned lanes, At at, Active active, Ask ask) noexce
     if (!asked[lane]) continue;
     call.record(lane, closest, [&](unsigned field) { return at(lane, field); }, asked_tfar[lane], closest ? before[lane] : 0);
   }
-  call.forget_rejects();
+  call.forget();
 }
 
 template <unsigned width, bool closest, typename Ask>

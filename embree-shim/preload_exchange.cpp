@@ -3,6 +3,7 @@
 #include "preload_exchange.hpp"
 
 #include <fcntl.h>
+#include <pthread.h>
 #include <signal.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
@@ -23,6 +24,8 @@ constexpr std::size_t numbers_offset = (sizeof(ExchangeHeader) + 63) / 64 * 64;
 constexpr std::size_t captures_offset = numbers_offset + EXCHANGE_SCENES * sizeof(std::uint32_t);
 constexpr std::size_t slots_offset = captures_offset + EXCHANGE_CAPTURES;
 constexpr std::size_t mapping_bytes = slots_offset + EXCHANGE_SLOTS * sizeof(ExchangeSlot);
+static_assert(sizeof(pthread_mutex_t) <= sizeof(ExchangeSlot::lock));
+static_assert(offsetof(ExchangeSlot, lock) % alignof(pthread_mutex_t) == 0);
 static_assert(slots_offset % 64 == 0 && sizeof(ExchangeSlot) % 64 == 0 && offsetof(ExchangeSlot, records) == 64);
 
 ExchangeHeader* attach() noexcept {
@@ -58,6 +61,40 @@ T* at(std::size_t offset) noexcept {
 
 ExchangeSlot* slot(std::size_t index) noexcept { return at<ExchangeSlot>(slots_offset) + index; }
 
+pthread_mutex_t* lock_of(ExchangeSlot& slot) noexcept { return reinterpret_cast<pthread_mutex_t*>(slot.lock); }
+
+// Takes a slot's lock if no living thread holds it.
+bool try_lock(ExchangeSlot& slot) noexcept {
+  switch (pthread_mutex_trylock(lock_of(slot))) {
+    case 0: return true;
+    case EOWNERDEAD: return pthread_mutex_consistent(lock_of(slot)) == 0;
+    default: return false;
+  }
+}
+
+void unlock(ExchangeSlot& slot) noexcept { pthread_mutex_unlock(lock_of(slot)); }
+
+// Marks a slot as one that its owner has left, with what is in it.
+void leave(ExchangeSlot& slot) noexcept {
+  const bool empty = load(slot.count) == 0;
+  store(slot.state, static_cast<std::uint32_t>(empty ? EXCHANGE_FREE : EXCHANGE_FULL));
+}
+
+// Hands over the slots of threads that have ended without doing so: of processes that were killed,
+// or left without destructors. Returns whether there was one.
+bool hand_over_abandoned() noexcept {
+  bool found = false;
+  for (std::size_t number = 0; number < EXCHANGE_SLOTS; number++) {
+    ExchangeSlot& candidate = *slot(number);
+    if (load(candidate.state) != EXCHANGE_OWNED || !try_lock(candidate)) continue;
+    // Somebody else may have been faster.
+    if (load(candidate.state) == EXCHANGE_OWNED) leave(candidate);
+    unlock(candidate);
+    found = true;
+  }
+  return found;
+}
+
 void sleep_for_microseconds(long microseconds) noexcept {
   const int saved = errno;
   const timespec time{0, microseconds * 1000};
@@ -87,20 +124,24 @@ ExchangeSlot* take_slot(std::uint32_t thread, std::uint64_t sequence) noexcept {
     for (std::size_t number = 0; number < EXCHANGE_SLOTS; number++) {
       // Threads start at different slots, so that they seldom meet.
       ExchangeSlot* candidate = slot((number + thread * 7) % EXCHANGE_SLOTS);
-      std::uint32_t state = load(candidate->state);
+      const std::uint32_t state = load(candidate->state);
       full = full || state == EXCHANGE_FULL;
-      if (state != EXCHANGE_FREE) continue;
-      if (!__atomic_compare_exchange_n(&candidate->state, &state, static_cast<std::uint32_t>(EXCHANGE_OWNED), false,
-                                       __ATOMIC_ACQ_REL, __ATOMIC_RELAXED)) {
+      if (state != EXCHANGE_FREE || !try_lock(*candidate)) continue;
+      if (load(candidate->state) != EXCHANGE_FREE) {
+        unlock(*candidate);
         continue;
       }
       candidate->thread = thread;
       candidate->sequence = sequence;
       candidate->reject_count = 0;
       store(candidate->count, 0u);
+      store(candidate->state, static_cast<std::uint32_t>(EXCHANGE_OWNED));
       return candidate;
     }
-    if (!full) return nullptr;
+    if (!full) {
+      if (!hand_over_abandoned()) return nullptr;
+      continue;
+    }
     // embree-trace is behind, or gone.
     constexpr unsigned rounds_per_check = 256;
     if (round % rounds_per_check == rounds_per_check - 1 && !collector_lives(*header)) {
@@ -112,19 +153,24 @@ ExchangeSlot* take_slot(std::uint32_t thread, std::uint64_t sequence) noexcept {
 }
 
 void give_slot(ExchangeSlot* slot) noexcept {
-  const bool empty = slot->count == 0;
-  store(slot->state, static_cast<std::uint32_t>(empty ? EXCHANGE_FREE : EXCHANGE_FULL));
+  leave(*slot);
+  unlock(*slot);
 }
 
 std::uint32_t number_scene(std::uint32_t capture) noexcept {
   ExchangeHeader* header = mapping();
   std::uint32_t number = load(header->scenes);
-  do {
-    if (number >= EXCHANGE_SCENES) return EXCHANGE_SCENES;
-  } while (!__atomic_compare_exchange_n(&header->scenes, &number, number + 1, false, __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE));
-  // 0 means that it is not there yet.
-  store(at<std::uint32_t>(numbers_offset)[number], capture + 1);
-  return number;
+  // The capture stands there before the count says so, and whoever comes next counts it: a process
+  // may be killed between the two.
+  for (; number < EXCHANGE_SCENES; number++) {
+    std::uint32_t none = 0;
+    const bool ours = __atomic_compare_exchange_n(at<std::uint32_t>(numbers_offset) + number, &none, capture + 1, false,
+                                                  __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE);
+    std::uint32_t before = number;
+    __atomic_compare_exchange_n(&header->scenes, &before, number + 1, false, __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE);
+    if (ours) return number;
+  }
+  return EXCHANGE_SCENES;
 }
 
 void set_capture_state(std::uint32_t capture, std::uint8_t state) noexcept {

@@ -37,18 +37,32 @@ std::uint32_t asked_lane(const Frame& frame, const RTCFilterFunctionNArguments& 
   return frame.lanes;
 }
 
-void note(Frame& frame, const RTCFilterFunctionNArguments& arguments, unsigned lane) noexcept {
-  const auto at = [&](unsigned field) { return reinterpret_cast<const float*>(arguments.hit) + field * arguments.N + lane; };
-  // As Field counts, from the hit on.
-  constexpr unsigned hit = 12;
+// The candidate in lane `lane` of a filter's packet. Embree has put its distance into the ray's
+// tfar.
+Hit candidate(const RTCFilterFunctionNArguments& arguments, unsigned lane) noexcept {
+  // The hit stands apart, and Field counts it as if it followed the ray.
+  constexpr unsigned ray_fields = 12;
+  return hit_of([&](unsigned field) {
+    const bool of_ray = field < ray_fields;
+    const void* from = of_ray ? static_cast<const void*>(arguments.ray) : arguments.hit;
+    return static_cast<const float*>(from) + (of_ray ? field : field - ray_fields) * arguments.N + lane;
+  });
+}
+
+void note_reject(Frame& frame, std::uint32_t asked, const Hit& hit) noexcept {
+  Thread& thread = *frame.thread;
+  // What another filter, which was asked before, has made of it.
+  if (thread.changed_count > frame.first_changed) {
+    const Changed& last = thread.changed[thread.changed_count - 1];
+    if (last.lane == asked && is_same(last.after, hit)) {
+      thread.changed_count--;
+      return note_reject(frame, asked, last.before);
+    }
+  }
   const std::uint32_t triangle =
-      frame.capture->triangle(value<std::uint32_t>(at, hit_instance - hit), value<std::uint32_t>(at, hit_geometry - hit),
-                              value<std::uint32_t>(at, hit_primitive - hit), value<float>(at, hit_u - hit),
-                              value<float>(at, hit_v - hit)).triangle;
+      frame.capture->triangle(hit.instance, hit.geometry, hit.primitive, hit.u, hit.v).triangle;
   // What is not a triangle is not replayed.
   if (triangle == shim::no_triangle) return;
-  Thread& thread = *frame.thread;
-  const std::uint32_t asked = asked_lane(frame, arguments, lane);
   if (asked == frame.lanes || thread.rejected_count == Thread::most_rejected) {
     if (ExchangeHeader* header = exchange()) add(header->lost_rejects, std::uint64_t{1});
     return;
@@ -58,6 +72,18 @@ void note(Frame& frame, const RTCFilterFunctionNArguments& arguments, unsigned l
     if (thread.rejected[before].lane == asked && thread.rejected[before].triangle == triangle) return;
   }
   thread.rejected[thread.rejected_count++] = {asked, triangle};
+}
+
+void note_change(Frame& frame, std::uint32_t asked, const Hit& before, const Hit& after) noexcept {
+  Thread& thread = *frame.thread;
+  // A filter of the geometry, and one of the call, may both change a candidate.
+  for (std::uint32_t number = thread.changed_count; number-- > frame.first_changed;) {
+    Changed& changed = thread.changed[number];
+    if (changed.lane != asked || !is_same(changed.after, before)) continue;
+    changed.after = after;
+    return;
+  }
+  if (thread.changed_count < Thread::most_changed) thread.changed[thread.changed_count++] = {asked, before, after};
 }
 
 template <std::size_t number>
@@ -71,11 +97,20 @@ void wrapper(const RTCFilterFunctionNArguments* arguments) {
     if (ExchangeHeader* header = exchange()) add(header->lost_rejects, std::uint64_t{1});
     return filter(arguments);
   }
-  int before[widest];
-  for (unsigned lane = 0; lane < arguments->N; lane++) before[lane] = arguments->valid[lane];
+  int valid[widest];
+  Hit before[widest];
+  for (unsigned lane = 0; lane < arguments->N; lane++) {
+    valid[lane] = arguments->valid[lane];
+    if (valid[lane] == -1) before[lane] = candidate(*arguments, lane);
+  }
   filter(arguments);
   for (unsigned lane = 0; lane < arguments->N; lane++) {
-    if (before[lane] == -1 && arguments->valid[lane] != -1) note(*frame, *arguments, lane);
+    if (valid[lane] != -1) continue;
+    if (arguments->valid[lane] != -1) {
+      note_reject(*frame, asked_lane(*frame, *arguments, lane), before[lane]);
+    } else if (const Hit after = candidate(*arguments, lane); !is_same(before[lane], after)) {
+      note_change(*frame, asked_lane(*frame, *arguments, lane), before[lane], after);
+    }
   }
 }
 

@@ -2,6 +2,8 @@
 // first query and its first query of a scene after a commit.
 #pragma once
 
+#include <cfloat>
+#include <cmath>
 #include <cstdint>
 #include <cstring>
 
@@ -17,6 +19,21 @@ struct Rejected {
   std::uint32_t triangle;
 };
 
+// What was hit, as a ray or a filter's arguments say it.
+struct Hit {
+  float t;
+  float u, v;
+  std::uint32_t primitive, geometry, instance;
+};
+
+inline bool is_same(const Hit& a, const Hit& b) noexcept { return std::memcmp(&a, &b, sizeof a) == 0; }
+
+// A candidate that a filter accepted and changed: Embree lets it decrease tfar, and change the hit.
+struct Changed {
+  std::uint32_t lane;
+  Hit before, after;
+};
+
 struct Thread;
 
 // A call of Embree under way. Calls nest: a callback of the program may ask again.
@@ -25,6 +42,7 @@ struct Frame {
   const Capture* capture;
   Frame* outer;
   std::uint32_t first_rejected;  // in the thread's list; what comes before is of outer calls
+  std::uint32_t first_changed;   // the same
   unsigned lanes;
   // Where field `field` of the ray in lane `lane` stands; for more lanes than one.
   const void* rays;
@@ -41,15 +59,18 @@ struct Thread {
   };
   static constexpr std::size_t known_scenes = 16;
   static constexpr std::uint32_t most_rejected = 8192;
+  static constexpr std::uint32_t most_changed = 4096;
 
   std::uint32_t number;
   std::uint32_t rejected_count;
+  std::uint32_t changed_count;
   std::uint64_t sequence;
   ExchangeSlot* slot;
   Frame* frame;
   std::uint64_t crowded_since;  // queries for which there was no slot
   Known known[known_scenes];
   Rejected rejected[most_rejected];
+  Changed changed[most_changed];
 
   const Known* find(RTCScene scene) noexcept;
   // Room for a record; null when there is none.
@@ -81,9 +102,44 @@ T value(At at, unsigned field) noexcept {
   return value;
 }
 
-// Adds a record of a ray that was answered, while its call is the thread's frame. `rejects` are those of this ray.
 template <typename At>
-void record(Thread& thread, const Thread::Known& scene, bool closest, bool coherent, At at, float asked_tfar,
+Hit hit_of(At at) noexcept {
+  return {value<float>(at, tfar),
+          value<float>(at, hit_u),
+          value<float>(at, hit_v),
+          value<std::uint32_t>(at, hit_primitive),
+          value<std::uint32_t>(at, hit_geometry),
+          value<std::uint32_t>(at, hit_instance)};
+}
+
+inline bool has_same_bits(float a, float b) noexcept { return std::memcmp(&a, &b, sizeof a) == 0; }
+
+// Whether a filter has changed where the ray in lane `lane` of the thread's frame ends: then Embree
+// may have left out what is closer.
+inline bool is_interrupted(const Thread& thread, unsigned lane) noexcept {
+  if (__builtin_expect(thread.changed_count == thread.frame->first_changed, 1)) return false;
+  // Then there may be more.
+  if (thread.changed_count == Thread::most_changed) return true;
+  for (std::uint32_t number = thread.frame->first_changed; number < thread.changed_count; number++) {
+    const Changed& changed = thread.changed[number];
+    if (changed.lane == lane && !has_same_bits(changed.before.t, changed.after.t)) return true;
+  }
+  return false;
+}
+
+// What Embree found where the program's filters have made `hit` of it.
+inline Hit unchanged(const Thread& thread, unsigned lane, const Hit& hit) noexcept {
+  for (std::uint32_t number = thread.frame->first_changed; number < thread.changed_count; number++) {
+    const Changed& changed = thread.changed[number];
+    if (changed.lane == lane && is_same(changed.after, hit)) return changed.before;
+  }
+  return hit;
+}
+
+// Adds a record of the ray in lane `lane`, which was answered, while its call is the thread's
+// frame. `rejects` are those of this ray.
+template <typename At>
+void record(Thread& thread, const Thread::Known& scene, unsigned lane, bool closest, bool coherent, At at, float asked_tfar,
             std::uint32_t geometry_before, const Rejected* rejects, std::uint32_t reject_count) noexcept {
   ExchangeSlot* slot = thread.room(reject_count);
   if (slot == nullptr) return;
@@ -105,26 +161,37 @@ void record(Thread& thread, const Thread::Known& scene, bool closest, bool coher
   record.depth = thread.frame->outer == nullptr ? shim::no_depth : static_cast<std::uint8_t>(EXCHANGE_NESTED);
   record.purpose = shim::purpose_unknown;
   std::uint8_t flags = coherent ? shim::flag_coherent : 0;
-  const float end = value<float>(at, tfar);
   if (closest) {
     record.kind = shim::kind_closest_hit;
     const auto geometry = value<std::uint32_t>(at, hit_geometry);
+    const bool ends_elsewhere = !has_same_bits(value<float>(at, tfar), asked_tfar);
+    bool interrupted = is_interrupted(thread, lane);
     // A program may ask again with the hit of before.
-    if (geometry != RTC_INVALID_GEOMETRY_ID && (geometry != geometry_before || end != asked_tfar)) {
+    if (geometry != RTC_INVALID_GEOMETRY_ID && (geometry != geometry_before || ends_elsewhere || interrupted)) {
       flags |= shim::flag_hit;
-      record.t = end;
-      const auto u = value<float>(at, hit_u);
-      const auto v = value<float>(at, hit_v);
-      const Capture::Found found = scene.capture->triangle(value<std::uint32_t>(at, hit_instance), geometry,
-                                                           value<std::uint32_t>(at, hit_primitive), u, v);
+      const Hit hit = unchanged(thread, lane, hit_of(at));
+      record.t = hit.t;
+      if (!std::isfinite(hit.t)) {
+        // A callback of a user geometry has ended the ray, or hit at no distance.
+        interrupted = true;
+        record.t = hit.t > 0 ? FLT_MAX : std::isfinite(record.tnear) ? record.tnear : 0.0f;
+      }
+      const Capture::Found found = scene.capture->triangle(hit.instance, hit.geometry, hit.primitive, hit.u, hit.v);
       record.triangle = found.triangle;
-      record.u = found.second ? 1.0f - u : u;
-      record.v = found.second ? 1.0f - v : v;
+      record.u = found.second ? 1.0f - hit.u : hit.u;
+      record.v = found.second ? 1.0f - hit.v : hit.v;
       if (found.triangle == shim::no_triangle || found.moves) flags |= shim::flag_undecided;
+    } else {
+      // Ended, and nothing hit.
+      interrupted = interrupted || ends_elsewhere;
+    }
+    if (interrupted) {
+      flags |= shim::flag_interrupted | shim::flag_undecided;
+      if (ExchangeHeader* header = exchange()) add(header->interrupted, std::uint64_t{1});
     }
   } else {
     record.kind = shim::kind_occlusion;
-    if (end == -shim::infinity && asked_tfar != -shim::infinity) {
+    if (value<float>(at, tfar) == -shim::infinity && asked_tfar != -shim::infinity) {
       flags |= shim::flag_hit;
       record.t = -shim::infinity;
       // It is not known by what.

@@ -19,6 +19,7 @@ constexpr std::uint8_t flag_hit = 1;
 constexpr std::uint8_t flag_coherent = 2;
 constexpr std::uint8_t flag_has_rejects = 4;
 constexpr std::uint8_t flag_undecided = 8;
+constexpr std::uint8_t flag_interrupted = 16;
 constexpr std::uint8_t purpose_unknown = 0;
 
 static_assert(sizeof(ShimRecord) == 64);

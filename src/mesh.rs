@@ -125,7 +125,7 @@ impl Mesh {
                     Faces::Quads => geometry_kind::QUADS,
                 },
                 flags: 0,
-                reserved: 0,
+                instance_mask: 0,
             };
             first_triangle += triangle_count;
             geometry

@@ -48,7 +48,7 @@ pub(crate) fn unjudged(recording: &RecordingResult) -> Option<String> {
     let most = |count: fn(&Tally) -> u64| runs().map(count).max().unwrap_or(0);
     let reasons = [
         (most(|tally| tally.moving), "met what moves"),
-        (most(|tally| tally.unchecked), "met what is not a triangle"),
+        (most(|tally| tally.unchecked), "met what is not a triangle, or were ended by the program"),
     ];
     let said: Vec<String> = reasons
         .iter()

@@ -29,7 +29,7 @@ fn input(triangles: &[Triangle]) -> (tempfile::TempDir, PathBuf, PathBuf) {
         mask: 5,
         kind: 0,
         flags: 0,
-        reserved: 0,
+        instance_mask: 0,
     };
     let contents = Contents {
         tree: tree.view(),

@@ -3,7 +3,7 @@
 mod compare_support;
 
 use compare_support::*;
-use embree_trace::format::bvh::{Geometry, NO_INSTANCE};
+use embree_trace::format::bvh::{Geometry, NO_INSTANCE, geometry_flag};
 use embree_trace::format::rays::Reject;
 use embree_trace::geometry::{Aabb, Ray, Triangle, Vec3};
 use embree_trace::traverse::*;
@@ -206,28 +206,33 @@ fn masks_and_rejects_are_honoured() {
         mask,
         kind: 0,
         flags: 0,
-        reserved: 0,
+        instance_mask: 0,
     };
-    // Out of order, and an empty one in between.
-    let geometries = [geometry(half, half, 0b10), geometry(half, 0, 0), geometry(0, half, 0b01)];
-    let mask_of = |triangle: u32| if triangle < half { 0b01 } else { 0b10 };
+    // Out of order, and an empty one in between; the first needs a bit of each of two masks, the last has a word that does not count.
+    let two =
+        Geometry { flags: geometry_flag::INSTANCE_MASK, instance_mask: 0b101, ..geometry(half, half, 0b10) };
+    let one = Geometry { instance_mask: 0b100, ..geometry(0, half, 0b01) };
+    let geometries = [two, geometry(half, 0, 0), one];
+    let sees = |mask: u32, triangle: u32| {
+        if triangle < half { mask & 0b01 != 0 } else { mask & 0b10 != 0 && mask & 0b101 != 0 }
+    };
     let scratch = &mut Scratch::default();
     for tree in trees(&triangles) {
         let prepared = Prepared::new(tree.view(), &triangles, &geometries);
         for (i, ray) in rays(&triangles, 300, random).iter().enumerate() {
             let query = PreparedRay::new(ray);
-            let mask = [0b01, 0b10, 0b11, 0, 0b100][i % 5];
+            let mask = [0b01, 0b10, 0b11, 0b110, 0, 0b100][i % 6];
             let free = Recorded { mask, rejects: &[] };
             let first = prepared.closest_hit(Traversal::Odf, &query, &free, &mut (), scratch);
-            assert!(first.is_none_or(|hit| mask & mask_of(hit.triangle) != 0));
-            if mask & 0b11 == 0 {
+            assert!(first.is_none_or(|hit| sees(mask, hit.triangle)));
+            if matches!(mask, 0 | 0b10 | 0b100) {
                 assert_eq!(first, None);
             }
             // Refuse the first answer: the next is another triangle, not before it.
             let Some(first) = first else { continue };
             let rejects = [Reject { record: 0, triangle: first.triangle }];
             let refusing = Recorded { mask, rejects: &rejects };
-            let truth = truth(ray, &triangles, |index| mask & mask_of(index) != 0 && index != first.triangle);
+            let truth = truth(ray, &triangles, |index| sees(mask, index) && index != first.triangle);
             for traversal in Traversal::ALL {
                 let second = prepared.closest_hit(traversal, &query, &refusing, &mut (), scratch);
                 let occluder = prepared.occluder(traversal, &query, &refusing, &mut (), scratch);

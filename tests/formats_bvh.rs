@@ -478,7 +478,7 @@ proptest! {
         let meta = meta.map(|text| format!("{{\"name\":\"{text}\"}}"));
         let count = triangles.len() as u32;
         let geometry = Geometry {
-            instance: NO_INSTANCE, geometry: 0, first_triangle: 0, triangle_count: count, mask: 1, kind: 0, flags: 0, reserved: 0,
+            instance: NO_INSTANCE, geometry: 0, first_triangle: 0, triangle_count: count, mask: 1, kind: 0, flags: 0, instance_mask: 0,
         };
         let contents = Contents {
             tree: tree.view(),

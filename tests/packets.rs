@@ -3,7 +3,7 @@
 mod compare_support;
 
 use compare_support::*;
-use embree_trace::format::bvh::{Geometry, NO_INSTANCE};
+use embree_trace::format::bvh::{Geometry, NO_INSTANCE, geometry_flag};
 use embree_trace::format::rays::Reject;
 use embree_trace::geometry::{Aabb, Ray, Triangle, Vec3};
 use embree_trace::traverse::packet::MOST;
@@ -192,16 +192,18 @@ fn masks_and_rejects_are_those_of_each_query() {
         mask,
         kind: 0,
         flags: 0,
-        reserved: 0,
+        instance_mask: 0,
     };
-    let geometries = [geometry(0, 0b01), geometry(half, 0b10)];
+    let two = geometry_flag::INSTANCE_MASK;
+    let geometries =
+        [geometry(0, 0b01), Geometry { flags: two, instance_mask: 0b101, ..geometry(half, 0b10) }];
     let scratch = &mut Scratch::default();
     let rays = all_rays(&triangles, random);
     for tree in trees(&triangles, random) {
         let prepared = Prepared::new(tree.view(), &triangles, &geometries);
         // Every other query refuses what it would hit.
         let free: Vec<Recorded> = (0..rays.len())
-            .map(|i| Recorded { mask: [0b11, 0b01, 0b10, 0, 0b100][i % 5], rejects: &[] })
+            .map(|i| Recorded { mask: [0b11, 0b01, 0b110, 0b10, 0, 0b100][i % 6], rejects: &[] })
             .collect();
         let single = |candidates: &[Recorded], scratch: &mut Scratch| -> Vec<Option<Hit>> {
             let asked = rays.iter().zip(candidates).map(|(ray, candidates)| {

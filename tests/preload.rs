@@ -62,6 +62,154 @@ fn rejects_of_filters() {
     }
 }
 
+/// The lines of queries for closest hits, with t, primitive and geometry, of those that found
+/// something; in the order of the thread.
+fn closest_hits(run: &Run) -> Vec<(Record, String)> {
+    let file = run.rays();
+    let rays = Rays::parse(&file).unwrap();
+    let records = (0..rays.chunks().len()).flat_map(|chunk| rays.chunk(chunk).unwrap().records.into_owned());
+    let printed = lines(&run.output.stdout);
+    assert_eq!(rays.query_count(), printed.len() as u64);
+    let all = records.zip(printed);
+    all.filter(|(record, line)| !record.is_occlusion() && !line.ends_with(" -1 -1 -1")).collect()
+}
+
+/// t and the numbers behind it, as a line of the program's has them.
+fn parsed(line: &str) -> (f32, [i64; 3]) {
+    let words: Vec<&str> = line.split(' ').collect();
+    let number = |word: usize| words[word].parse().unwrap();
+    (f32::from_bits(u32::from_str_radix(words[0], 16).unwrap()), [number(1), number(2), number(3)])
+}
+
+/// A filter may end a ray where it likes. The hit is recorded where it was, and flagged, and one
+/// warning says how many there are.
+#[test]
+fn filters_that_end_rays() {
+    let run = run_host(&[], "ended");
+    assert!(run.output.stdout == unrecorded("ended"));
+    let judged = run.replayed();
+    let trees = run.trees();
+    let tree = Bvh::parse(&trees[0]).unwrap();
+    let mut ends = [0; 4];
+    let mut interrupted = 0;
+    for (record, line) in closest_hits(&run) {
+        let (seen, [geometry, primitive, _]) = parsed(&line);
+        let own = tree.geometries.iter().find(|g| i64::from(g.geometry) == geometry).unwrap();
+        assert_eq!(i64::from((record.triangle - own.first_triangle) / (own.kind + 1)), primitive);
+        // Where it is, and not where the program was told.
+        let t = distance(&record, &tree.triangles[record.triangle as usize]);
+        assert!((t - f64::from(record.t)).abs() < 1e-4, "{t} {record:?}");
+        let end = (primitive % 4) as usize;
+        let expected = [
+            f32::NEG_INFINITY,
+            0.5 * record.t,
+            if geometry == 5 { f32::NAN } else { 0.25 * record.t },
+            record.t,
+        ][end];
+        assert!(seen == expected || seen.is_nan() && expected.is_nan(), "{seen} {record:?}");
+        let flagged = record.flags & flag::INTERRUPTED != 0;
+        assert!(flagged || end == 3, "{record:?}");
+        interrupted += u64::from(flagged);
+        ends[end] += 1;
+    }
+    assert!(ends.iter().all(|&count| count > 300), "{ends:?}");
+    assert_eq!(judged.unchecked, interrupted);
+    let warning = format!("{interrupted} closest-hit queries were ended elsewhere");
+    assert_eq!(
+        (run.said().matches("warning").count(), run.said().matches(&warning).count()),
+        (1, 1),
+        "{}",
+        run.said()
+    );
+}
+
+/// A filter may make another hit of what it accepts. What Embree found is recorded, and nothing of
+/// it is in doubt; another filter rejects it, or not.
+#[test]
+fn filters_that_change_hits() {
+    let run = run_host(&[], "changed");
+    assert!(run.output.stdout == unrecorded("changed"));
+    assert_eq!(run.replayed().unchecked, 0);
+    assert!(!run.said().contains("warning"), "{}", run.said());
+    let trees = run.trees();
+    let tree = Bvh::parse(&trees[0]).unwrap();
+    let hits = closest_hits(&run);
+    assert!(hits.len() > 1000);
+    for (record, line) in hits {
+        let (seen, [geometry, primitive, _]) = parsed(&line);
+        let own = tree.geometries.iter().find(|g| i64::from(g.geometry) == geometry).unwrap();
+        let recorded = i64::from((record.triangle - own.first_triangle) / (own.kind + 1));
+        assert_eq!((seen, primitive), (record.t, recorded + 1_000_000));
+        assert!(primitive % 3 != 0 && record.flags & flag::INTERRUPTED == 0);
+    }
+}
+
+/// What is no triangle may be hit at infinity, or end a ray without a distance.
+#[test]
+fn geometries_of_the_program_that_end_rays() {
+    let run = run_host(&[], "sky");
+    assert!(run.output.stdout == unrecorded("sky"));
+    run.replayed();
+    let mut ends = [0, 0];
+    for (record, line) in closest_hits(&run) {
+        let (seen, [geometry, ..]) = parsed(&line);
+        if geometry != 9 {
+            assert_eq!(record.t, seen);
+            continue;
+        }
+        let (end, t) = if seen > 0.0 { (0, f32::MAX) } else { (1, record.tnear) };
+        assert_eq!(record.t, t);
+        assert_eq!(record.flags & !flag::COHERENT, flag::HIT | flag::UNDECIDED | flag::INTERRUPTED);
+        ends[end] += 1;
+    }
+    assert!(ends.iter().all(|&count| count > 300), "{ends:?}");
+    assert!(
+        run.said().contains(&format!("{} closest-hit queries were ended", ends[0] + ends[1])),
+        "{}",
+        run.said()
+    );
+}
+
+/// A query sees what shares a bit with the mask of the instance and one with that of the geometry,
+/// each; masks of 0 and other masks at the next commit included.
+#[test]
+fn masks_of_instances_and_their_geometries() {
+    let run = run_host(&[], "masks");
+    assert!(run.output.stdout == unrecorded("masks"));
+    assert_eq!(run.replayed().unchecked, 0);
+    assert!(run.seen()[&0] == lines(&run.output.stdout) && !run.said().contains("warning"), "{}", run.said());
+    let (file, trees) = (run.rays(), run.trees());
+    assert_eq!(trees.len(), 2);
+    let masks = [[2, 5, 0, 0xC], [9, 5, 0, 0xC]];
+    for (commit, tree) in trees.iter().map(|tree| Bvh::parse(tree).unwrap()).enumerate() {
+        for geometry in tree.geometries.iter().filter(|geometry| geometry.instance >= 20) {
+            let Some(instance) = geometry.instance.checked_sub(20).filter(|&mask| mask < 16) else {
+                continue;
+            };
+            let own = masks[commit][geometry.geometry as usize];
+            for query in 0..16 {
+                let seen = geometry.masks().iter().all(|mask| query & mask != 0);
+                assert_eq!(seen, query & own != 0 && query & instance != 0);
+            }
+        }
+    }
+    // Hits that no one mask would have allowed: the bits that both have are not the query's.
+    let rays = Rays::parse(&file).unwrap();
+    let mut both = 0;
+    for chunk in (0..rays.chunks().len()).map(|chunk| rays.chunk(chunk).unwrap()) {
+        let tree = Bvh::parse(&trees[chunk.info.scene as usize]).unwrap();
+        for record in chunk.records.iter().filter(|record| record.is_hit() && !record.is_occlusion()) {
+            let of = |g: &&bvh::Geometry| {
+                (g.first_triangle..g.first_triangle + g.triangle_count).contains(&record.triangle)
+            };
+            let [own, instance] = tree.geometries.iter().find(of).unwrap().masks();
+            assert!(record.mask & own != 0 && record.mask & instance != 0);
+            both += u64::from(record.mask & own & instance == 0);
+        }
+    }
+    assert!(both > 50, "{both}");
+}
+
 /// Masks, disabled geometries, instances and commits are in the trees.
 #[test]
 fn scenes_are_as_committed() {
@@ -153,6 +301,31 @@ fn threads_and_forks() {
     assert_eq!(run.output.status.code(), Some(7), "the program's own exit code");
     assert_eq!(run.replayed().queries, 3 * 8000);
     assert_eq!(run.seen().values().map(Vec::len).collect::<Vec<_>>(), [16_000, 8000]);
+}
+
+/// Processes that come and go, more than there are slots, or as many at once: killed, ended by
+/// another signal, and without destructors. What each has asked is there.
+#[test]
+fn processes() {
+    let first = &run_host(&[], "plain").seen()[&0][..40];
+    let recorded = |run: &Run| {
+        let file = run.rays();
+        let rays = Rays::parse(&file).unwrap();
+        rays.verify().unwrap();
+        rays.query_count()
+    };
+    for (count, how) in [("300", "in turn"), ("256", "together")] {
+        let run = Run::new(&[], host(), &["children", count, how]);
+        assert!(run.output.status.success() && !run.said().contains("warning"), "{}", run.said());
+        let asked = 40 * count.parse::<u64>().unwrap();
+        assert_eq!(recorded(&run), asked, "{how}");
+        let seen = run.seen();
+        assert!(seen.len() as u64 * 40 == asked && seen.values().all(|lines| lines == first), "{how}");
+    }
+    // More living ones than there are slots: what is lost is counted, and the warning is true.
+    let run = Run::new(&[], host(), &["children", "270", "together"]);
+    assert!(run.said().contains("560 queries are not recorded: more living threads"), "{}", run.said());
+    assert_eq!(recorded(&run), 40 * 256);
 }
 
 /// Threads that each make, commit and change scenes while they and others ask: every query is there. `tools/sanitizers` looks for races in it.

@@ -113,7 +113,7 @@ fn geometries(u: &mut Unstructured, triangles: u32) -> Result<Vec<Geometry>> {
             mask: u.arbitrary()?,
             kind,
             flags: u.arbitrary()?,
-            reserved: u.arbitrary()?,
+            instance_mask: u.arbitrary()?,
         });
         first_triangle += triangle_count;
     }

@@ -15,7 +15,7 @@ NODE = np.dtype([("lower", "<f4", 3), ("first", "<u4"), ("upper", "<f4", 3), ("c
 GEOMETRY = np.dtype(
     [
         ("instance", "<u4"), ("geometry", "<u4"), ("first_triangle", "<u4"), ("triangle_count", "<u4"),
-        ("mask", "<u4"), ("kind", "<u4"), ("flags", "<u4"), ("reserved", "<u4"),
+        ("mask", "<u4"), ("kind", "<u4"), ("flags", "<u4"), ("instance_mask", "<u4"),
     ]
 )
 LEAF = np.uint32(0x8000_0000)

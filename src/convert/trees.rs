@@ -141,7 +141,7 @@ fn to_2011(bvh: &Bvh, numbering: Option<&Numbering>, out: &mut dyn Write) -> Res
     losses.lose("META", bvh.meta.is_some().into());
     losses.lose(
         "mask of a geometry",
-        bvh.geometries.iter().filter(|geometry| geometry.mask != u32::MAX).count() as u64,
+        bvh.geometries.iter().filter(|geometry| geometry.masks() != [u32::MAX; 2]).count() as u64,
     );
     if numbering.is_none() {
         losses.lose("triangle: only its number in TRIS is written", bvh.triangles.len() as u64);

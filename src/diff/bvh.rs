@@ -94,6 +94,7 @@ fn geometry_values(a: &Geometry, b: &Geometry) -> Differences {
         ("first triangle", a.first_triangle, b.first_triangle),
         ("triangle count", a.triangle_count, b.triangle_count),
         ("mask", a.mask, b.mask),
+        ("mask of its instance", a.masks()[1], b.masks()[1]),
         ("geometry kind", a.kind, b.kind),
     ];
     for (name, a, b) in fields {

@@ -6,7 +6,7 @@ use crate::format::rays::{Chunk, NO_DEPTH, NO_PATH, Purpose, Rays, Record, Rejec
 use crate::progress::Progress;
 
 /// Bits of [`Record::flags`] that have a meaning; a reader ignores the others.
-const KNOWN_FLAGS: u8 = flag::HIT | flag::COHERENT | flag::HAS_REJECTS | flag::UNDECIDED;
+const KNOWN_FLAGS: u8 = flag::HIT | flag::COHERENT | flag::HAS_REJECTS | flag::UNDECIDED | flag::INTERRUPTED;
 
 /// Compares two files. What counts: the fields of every record, its rejects and its scene, and the scene fingerprint where both know
 /// it and no tolerance allows for other geometry. What is noted: Embree's version, the promise of an order, a file that was cut off.

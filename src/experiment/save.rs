@@ -44,7 +44,7 @@ fn trace(tree: &Tree, triangles: &[Triangle], rays: &[Ray], path: &Path) -> Resu
         mask: u32::MAX,
         kind: 0,
         flags: 0,
-        reserved: 0,
+        instance_mask: 0,
     };
     let contents = Contents {
         tree: tree.view(),

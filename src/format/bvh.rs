@@ -43,6 +43,8 @@ pub mod geometry_kind {
 pub mod geometry_flag {
     /// It has several time steps, or its instance has: its triangles are those of the first one.
     pub const MOVING: u32 = 1;
+    /// [`Geometry::instance_mask`](super::Geometry::instance_mask) counts, too.
+    pub const INSTANCE_MASK: u32 = 2;
 }
 
 /// Where one Embree geometry's triangles are: the element of `GEOM`.
@@ -55,11 +57,23 @@ pub struct Geometry {
     pub geometry: u32,
     pub first_triangle: u32,
     pub triangle_count: u32,
-    /// A query sees the geometry when its mask shares a bit with this one.
+    /// A query sees the geometry when its mask shares a bit with this one, and with
+    /// [`Self::instance_mask`] where that counts.
     pub mask: u32,
     /// 0 triangles, 1 quads (two triangles each).
     pub kind: u32,
     /// Bits of [`geometry_flag`].
     pub flags: u32,
-    pub reserved: u32,
+    /// With [`geometry_flag::INSTANCE_MASK`]: the mask of its instance, where no one mask can say
+    /// both. 0 without.
+    pub instance_mask: u32,
+}
+
+impl Geometry {
+    /// The masks with each of which a query must share a bit: all bits where there is no second
+    /// one.
+    pub fn masks(&self) -> [u32; 2] {
+        let two = self.flags & geometry_flag::INSTANCE_MASK != 0;
+        [self.mask, if two { self.instance_mask } else { u32::MAX }]
+    }
 }

@@ -39,6 +39,10 @@ pub struct Geometry {
     pub first_triangle: u32,
     pub triangle_count: u32,
     pub mask: u32,
+    /// The mask of its instance, where a query needs a bit of each; absent where the one mask says
+    /// all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub instance_mask: Option<u32>,
 }
 
 /// Everything that is shown of a `.bvh`.
@@ -178,6 +182,7 @@ fn geometry(geometry: &crate::format::bvh::Geometry) -> Geometry {
         first_triangle: geometry.first_triangle,
         triangle_count: geometry.triangle_count,
         mask: geometry.mask,
+        instance_mask: (geometry.flags & geometry_flag::INSTANCE_MASK != 0).then_some(geometry.instance_mask),
     }
 }
 
@@ -283,7 +288,11 @@ impl fmt::Display for Summary {
             let (first, count) =
                 (grouped(geometry.first_triangle.into()), grouped(geometry.triangle_count.into()));
             let (number, kind, mask) = (geometry.geometry, geometry.kind, geometry.mask);
-            writeln!(f, "  {number:<10}{instance:>10} {kind:>10} {first:>15} {count:>15} {mask:#10x}")?;
+            write!(f, "  {number:<10}{instance:>10} {kind:>10} {first:>15} {count:>15} {mask:#10x}")?;
+            match geometry.instance_mask {
+                Some(instances) => writeln!(f, ", of its instance {instances:#x}")?,
+                None => writeln!(f)?,
+            }
         }
         if self.geometries.len() > SHOWN_GEOMETRIES {
             writeln!(f, "  … and {} more", self.geometries.len() - SHOWN_GEOMETRIES)?;

@@ -25,7 +25,8 @@ pub enum Verdict {
     Borderline,
     /// They differ, and one of them is wrong.
     Mismatch,
-    /// The recorded program hit something that is not a triangle; triangles cannot tell.
+    /// The recorded program hit something that is not a triangle, or ended the ray itself;
+    /// triangles cannot tell.
     Unchecked,
     /// The recorded program or the replay hit something that moves, and nothing that stands still says otherwise.
     Moving,
@@ -49,6 +50,9 @@ impl Judge<'_> {
         answer: Option<Hit>,
         candidates: &impl Candidates,
     ) -> Verdict {
+        if record.flags & flag::INTERRUPTED != 0 {
+            return self.interrupted(record, ray);
+        }
         let undecided = record.is_hit() && record.flags & flag::UNDECIDED != 0;
         let recorded_moves = undecided
             && if record.is_occlusion() { self.masks.any_moves() } else { self.masks.moves(record.triangle) };
@@ -65,6 +69,17 @@ impl Judge<'_> {
         let recorded = (record.is_hit() && record.triangle != NO_TRIANGLE)
             .then_some(Hit { t: record.t, triangle: record.triangle });
         self.closest(ray, recorded, answer)
+    }
+
+    /// A query that the program itself has ended. Embree may have left out what is closer, but what
+    /// it hit is there.
+    fn interrupted(&self, record: &Record, ray: &Ray) -> Verdict {
+        let stands = record.is_hit() && record.triangle != NO_TRIANGLE && !self.masks.moves(record.triangle);
+        let missed = |exact: Exact| exact.truth == Truth::Miss || !exact.can_be(record.t);
+        if stands && self.exact(ray, Hit { t: record.t, triangle: record.triangle }).is_none_or(missed) {
+            return Verdict::Mismatch;
+        }
+        Verdict::Unchecked
     }
 
     /// A query whose answer, or ours, moves. Where that was at the query's time is not known; but what stands still must not be
@@ -153,7 +168,8 @@ impl Judge<'_> {
             }
             for &index in &self.tree.primitives[node.range()] {
                 let vertices = self.triangles[index as usize];
-                let triangle = PreparedTriangle { vertices, index, mask: self.masks.of(index) };
+                let [mask, instance_mask] = self.masks.of(index);
+                let triangle = PreparedTriangle { vertices, index, mask, instance_mask };
                 if !candidates.accepts(&triangle) {
                     continue;
                 }
@@ -299,6 +315,23 @@ mod tests {
         let mut curve = record(5.0, 0.25, kind::OCCLUSION, Some((f32::NEG_INFINITY, NO_TRIANGLE)));
         curve.flags |= flag::UNDECIDED;
         assert_eq!(judged(curve, None), Verdict::Unchecked);
+    }
+
+    /// What is hit before a hit at which a filter ended the ray is no matter, but that must be one.
+    #[test]
+    fn hits_of_interrupted_queries_are_hits() {
+        let closest = |recorded: Option<(f32, u32)>, found| {
+            let mut record = record(0.25, 0.25, kind::CLOSEST_HIT, recorded);
+            record.flags |= flag::UNDECIDED | flag::INTERRUPTED;
+            judged(record, found)
+        };
+        assert_eq!(closest(Some((1.0, 0)), hit(0.5, 2)), Verdict::Unchecked);
+        assert_eq!(closest(Some((1.0, 0)), hit(1.0, 0)), Verdict::Unchecked);
+        assert_eq!(closest(None, hit(0.5, 2)), Verdict::Unchecked);
+        assert_eq!(closest(Some((0.0, NO_TRIANGLE)), None), Verdict::Unchecked);
+        assert_eq!(closest(Some((0.9, 0)), hit(0.5, 2)), Verdict::Mismatch);
+        assert_eq!(closest(Some((1.0, 77)), hit(0.5, 2)), Verdict::Mismatch);
+        assert_eq!(closest(Some((0.0, 2)), None), Verdict::Mismatch);
     }
 
     /// The triangle at z = 0.5 moves, those at 0 and 1e-5 stand still.

@@ -39,6 +39,9 @@ const _: () = assert!(size_of::<Block>() == 64 * LINES);
 #[derive(Debug)]
 pub struct Blocks {
     blocks: Vec<Block>,
+    /// By slot, see [`PreparedTriangle::instance_mask`]; empty, as in nearly every scene, where no
+    /// triangle has two masks.
+    instance_masks: Vec<u32>,
 }
 
 /// A ray as blocks are tested against it.
@@ -138,16 +141,21 @@ impl Blocks {
         let empty = Block { vertices: [[[0.0; LANES]; 3]; 3], index: [0; LANES], mask: [0; LANES] };
         let mut blocks = memory::with_capacity(end.div_ceil(LANES));
         blocks.resize(end.div_ceil(LANES), empty);
+        let mut instance_masks = vec![u32::MAX; if masks.any_two() { end } else { 0 }];
         for (slot, node) in slots.iter().zip(tree.nodes).filter(|(_, node)| node.is_leaf()) {
             for (place, &index) in (*slot as usize..).zip(&tree.primitives[node.range()]) {
                 let (block, lane) = (&mut blocks[place / LANES], place % LANES);
                 for (rows, vertex) in block.vertices.iter_mut().zip(triangles[index as usize].0) {
                     (0..3).for_each(|axis| rows[axis][lane] = vertex[axis]);
                 }
-                (block.index[lane], block.mask[lane]) = (index, masks.of(index));
+                let [mask, instance_mask] = masks.of(index);
+                (block.index[lane], block.mask[lane]) = (index, mask);
+                if let Some(of_slot) = instance_masks.get_mut(place) {
+                    *of_slot = instance_mask;
+                }
             }
         }
-        (Blocks { blocks }, slots)
+        (Blocks { blocks, instance_masks }, slots)
     }
 
     /// The triangle in a slot of some leaf.
@@ -160,6 +168,7 @@ impl Blocks {
             vertices: Triangle([vertex(v0), vertex(v1), vertex(v2)]),
             index: block.index[lane],
             mask: block.mask[lane],
+            instance_mask: self.instance_masks.get(slot).copied().unwrap_or(u32::MAX),
         }
     }
 

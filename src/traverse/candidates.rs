@@ -32,6 +32,8 @@ impl Candidates for Recorded<'_> {
     #[inline(always)]
     fn accepts(&self, triangle: &PreparedTriangle) -> bool {
         // Programs reject a candidate or two per query, so a plain search is the fast one.
-        self.mask & triangle.mask != 0 && self.rejects.iter().all(|reject| reject.triangle != triangle.index)
+        self.mask & triangle.mask != 0
+            && self.mask & triangle.instance_mask != 0
+            && self.rejects.iter().all(|reject| reject.triangle != triangle.index)
     }
 }

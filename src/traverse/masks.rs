@@ -1,13 +1,14 @@
-//! What a triangle has from its geometry: a mask, and whether it moves.
+//! What a triangle has from its geometry: masks, and whether it moves.
 
 use crate::format::bvh::{Geometry, geometry_flag};
 
-/// Finds a triangle's mask.
+/// Finds a triangle's masks.
 #[derive(Clone, Debug)]
 pub struct Masks<'a> {
     /// By first triangle.
     geometries: Vec<&'a Geometry>,
     any_moves: bool,
+    any_two: bool,
 }
 
 impl<'a> Masks<'a> {
@@ -15,12 +16,19 @@ impl<'a> Masks<'a> {
         let mut geometries: Vec<&Geometry> = geometries.iter().filter(|g| g.triangle_count > 0).collect();
         geometries.sort_by_key(|geometry| geometry.first_triangle);
         let any_moves = geometries.iter().any(|geometry| moves(geometry));
-        Masks { geometries, any_moves }
+        let any_two = geometries.iter().any(|geometry| geometry.masks()[1] != u32::MAX);
+        Masks { geometries, any_moves, any_two }
     }
 
-    /// All bits for a triangle that no geometry names: every query sees it.
-    pub fn of(&self, triangle: u32) -> u32 {
-        self.geometry(triangle).map_or(u32::MAX, |geometry| geometry.mask)
+    /// Those of the geometry and of its instance, with each of which a query must share a bit. All
+    /// bits where there is none: every query sees a triangle that no geometry names.
+    pub fn of(&self, triangle: u32) -> [u32; 2] {
+        self.geometry(triangle).map_or([u32::MAX; 2], Geometry::masks)
+    }
+
+    /// Whether any triangle has two masks of which neither is all bits.
+    pub fn any_two(&self) -> bool {
+        self.any_two
     }
 
     /// Whether any triangle moves.

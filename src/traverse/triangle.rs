@@ -23,6 +23,8 @@ pub struct PreparedTriangle {
     pub index: u32,
     /// The mask of its geometry.
     pub mask: u32,
+    /// The mask of its instance, where that says more: otherwise all bits.
+    pub instance_mask: u32,
 }
 
 /// Embree's order of summation, and its rounding.

@@ -19,7 +19,7 @@ pub fn geometries(triangles: &[Triangle]) -> [Geometry; 2] {
         mask,
         kind: 0,
         flags: 0,
-        reserved: 0,
+        instance_mask: 0,
     };
     [geometry(0, 0, half, 1), geometry(1, half, triangles.len() as u32 - half, 2)]
 }

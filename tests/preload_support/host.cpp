@@ -137,6 +137,45 @@ void reject_fourths(const RTCFilterFunctionNArguments* arguments) {
   }
 }
 
+// Accepts, and ends the ray: at once, nearer, or by what is no number. One in four is left as it
+// is.
+void end_rays(const RTCFilterFunctionNArguments* arguments) {
+  for (unsigned lane = 0; lane < arguments->N; lane++) {
+    if (arguments->valid[lane] != -1) continue;
+    float& tfar = RTCRayN_tfar(arguments->ray, arguments->N, lane);
+    // Debian's Embree aborts when it goes on to another tree with NaN, and that of the quads is its
+    // last.
+    const bool last = RTCHitN_geomID(arguments->hit, arguments->N, lane) == 5;
+    const float ends[] = {-INFINITY, 0.5f * tfar, last ? NAN : 0.25f * tfar, tfar};
+    tfar = ends[RTCHitN_primID(arguments->hit, arguments->N, lane) % 4];
+  }
+}
+
+// Accepts, and makes another hit of it.
+void change_hits(const RTCFilterFunctionNArguments* arguments) {
+  for (unsigned lane = 0; lane < arguments->N; lane++) {
+    if (arguments->valid[lane] == -1) RTCHitN_primID(arguments->hit, arguments->N, lane) += 1000000;
+  }
+}
+
+// A sphere around everything, which is hit at infinity, and something that ends every third ray.
+void bounds_of_sky(const RTCBoundsFunctionArguments* arguments) {
+  *arguments->bounds_o = {-100, -100, -100, 0, 100, 100, 100, 0};
+}
+
+void hit_sky(const RTCIntersectFunctionNArguments* arguments) {
+  for (unsigned lane = 0; lane < arguments->N; lane++) {
+    if (arguments->valid[lane] != -1) continue;
+    auto* ray = RTCRayHitN_RayN(arguments->rayhit, arguments->N);
+    float& tfar = RTCRayN_tfar(ray, arguments->N, lane);
+    // Infinitely far away, unless something else was hit.
+    if (tfar != INFINITY) continue;
+    RTCHitN_geomID(RTCRayHitN_HitN(arguments->rayhit, arguments->N), arguments->N, lane) = arguments->geomID;
+    RTCHitN_primID(RTCRayHitN_HitN(arguments->rayhit, arguments->N), arguments->N, lane) = 0;
+    if (RTCRayN_dir_x(ray, arguments->N, lane) > 0) tfar = -INFINITY;
+  }
+}
+
 float random_number() {
   static std::uint32_t state = 1;
   state = state * 1664525u + 1013904223u;
@@ -410,9 +449,25 @@ int main(int, char** arguments) {
   if (moves) attach(child, moving_triangles(low, high), 4);
   rtcCommitScene(child);
 
+  RTCScene masked = nullptr;
+  RTCGeometry changing = nullptr;
+  if (what == "masks") {
+    // Geometries with masks of their own, one above the other.
+    masked = rtcNewScene(device);
+    for (unsigned number = 0; number < 4; number++) {
+      RTCGeometry geometry = number % 2 == 0 ? triangles(small) : quads(wall);
+      const unsigned masks[] = {2, 5, 0, 0xC};
+      rtcSetGeometryMask(geometry, masks[number]);
+      rtcCommitGeometry(geometry);
+      if (number == 0) changing = geometry;
+      attach(masked, geometry, number);
+    }
+    rtcCommitScene(masked);
+  }
+
   RTCScene scene = rtcNewScene(device);
   if (what == "robust") rtcSetSceneFlags(scene, RTC_SCENE_FLAG_ROBUST);
-  if (what == "context-filter") rtcSetSceneFlags(scene, RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION);
+  if (what == "context-filter" || what == "changed") rtcSetSceneFlags(scene, RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION);
   if (what == "splits") rtcSetSceneBuildQuality(scene, RTC_BUILD_QUALITY_HIGH);
   RTCGeometry ground = triangles(floor);
   rtcRetainGeometry(ground);
@@ -426,8 +481,23 @@ int main(int, char** arguments) {
     rtcSetGeometryOccludedFilterFunction(upper, reject_fourths);
     rtcCommitGeometry(ground);
   }
+  if (what == "ended" || what == "changed") {
+    for (RTCGeometry geometry : {ground, upper}) {
+      rtcSetGeometryIntersectFilterFunction(geometry, what == "ended" ? end_rays : change_hits);
+    }
+    rtcCommitGeometry(ground);
+  }
   rtcCommitGeometry(upper);
   attach(scene, upper, 5);
+  if (what == "sky") {
+    RTCGeometry sky = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_USER);
+    rtcSetGeometryUserPrimitiveCount(sky, 1);
+    rtcSetGeometryBoundsFunction(sky, bounds_of_sky, nullptr);
+    rtcSetGeometryIntersectFunction(sky, hit_sky);
+    rtcSetGeometryOccludedFunction(sky, [](const RTCOccludedFunctionNArguments*) {});
+    rtcCommitGeometry(sky);
+    attach(scene, sky, 9);
+  }
   RTCGeometry off = triangles(hidden);
   rtcDisableGeometry(off);
   attach(scene, off, 0);
@@ -435,6 +505,14 @@ int main(int, char** arguments) {
     attach(scene, instance(child, -0.9f, 0.8f), 8);
     attach(scene, instance(child, 1.1f, 0.7f), 6);
     attach(scene, instance(child, 0.3f, 0.4f), 7);
+  }
+  if (what == "masks") {
+    for (unsigned number = 0; number < 16; number++) {
+      RTCGeometry placed = instance(masked, 0.25f * number - 2, 0.3f);
+      rtcSetGeometryMask(placed, number);
+      rtcCommitGeometry(placed);
+      attach(scene, placed, 20 + number);
+    }
   }
   if (moves) {
     attach(scene, moving_triangles(low, high), 1);
@@ -449,7 +527,7 @@ int main(int, char** arguments) {
   rtcInitIntersectContext(&context);
   if (what == "coherent") context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
   if (what == "coherent-filters") context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
-  if (what == "context-filter") context.filter = reject_thirds;
+  if (what == "context-filter" || what == "changed") context.filter = reject_thirds;
 
   auto rays = random_rays(4000);
   if (what == "motion") {
@@ -466,6 +544,25 @@ int main(int, char** arguments) {
   } else if (what == "streams" || what == "coherent" || what == "stream-filters" || what == "coherent-filters") {
     streams(scene, &context, rays);
 #endif
+  } else if (what == "masks") {
+    for (int commit = 0; commit < 2; commit++) {
+      for (std::size_t ray = 0; ray < rays.size(); ray++) {
+        rays[ray].ray.org_x = random_number() * 6 - 3;
+        rays[ray].ray.mask = unsigned(ray % 17 == 16 ? -1 : ray % 17);
+      }
+      single(scene, &context, rays);
+      packets<8, RTCRayHit8>(scene, &context, rays, rtcIntersect8, rtcOccluded8);
+      // Another mask, and all that hold it committed anew.
+      rtcSetGeometryMask(changing, 9);
+      rtcCommitGeometry(changing);
+      rtcCommitScene(masked);
+      for (unsigned number = 0; number < 16; number++) rtcCommitGeometry(rtcGetGeometry(scene, 20 + number));
+      rtcCommitScene(scene);
+    }
+  } else if (what == "ended" || what == "changed") {
+    single(scene, &context, rays);
+    packets<4, RTCRayHit4>(scene, &context, rays, rtcIntersect4, rtcOccluded4);
+    packets<8, RTCRayHit8>(scene, &context, rays, rtcIntersect8, rtcOccluded8);
   } else if (what == "filters" || what == "context-filter") {
     single(scene, &context, rays);
     packets<4, RTCRayHit4>(scene, &context, rays, rtcIntersect4, rtcOccluded4);
@@ -511,6 +608,39 @@ int main(int, char** arguments) {
     if (forked == 0) _exit(0);
     waitpid(forked, nullptr, 0);
     _exit(7);
+  } else if (what == "children") {
+    // As many processes as it is told, one after the other or all at once, which all ask a part of
+    // the rays, and end in every way.
+    const int count = std::atoi(arguments[2]);
+    const bool together = std::string(arguments[3]) == "together";
+    std::vector<pid_t> children;
+    int go[2], asked[2];
+    if (pipe(go) != 0 || pipe(asked) != 0) return 3;
+    rays.resize(20);
+    for (int number = 0; number < count; number++) {
+      const pid_t forked = fork();
+      if (forked == 0) {
+        single(scene, &context, rays);
+        std::fflush(stdout);
+        // Nobody ends before all have asked.
+        char byte = 0;
+        close(go[1]);
+        if (together && (write(asked[1], &byte, 1) != 1 || read(go[0], &byte, 1) != 0)) _exit(4);
+        if (number % 3 == 0) kill(getpid(), SIGKILL);
+        if (number % 3 == 1) kill(getpid(), SIGTERM);
+        _exit(0);
+      }
+      if (forked < 0) return 3;
+      children.push_back(forked);
+      if (!together) waitpid(forked, nullptr, 0);
+    }
+    char byte;
+    for (int number = 0; together && number < count; number++) {
+      if (read(asked[0], &byte, 1) != 1) return 3;
+    }
+    close(go[1]);
+    for (const pid_t child : children) waitpid(child, nullptr, 0);
+    _exit(0);
   } else if (what == "kill") {
     single(scene, &context, rays);
     std::fflush(stdout);
@@ -519,6 +649,7 @@ int main(int, char** arguments) {
     single(scene, &context, rays);
   }
   if (what == "busy") rtcReleaseScene(child);
+  if (masked != nullptr) rtcReleaseScene(masked);
   rtcReleaseGeometry(ground);
   rtcReleaseScene(scene);
   rtcReleaseDevice(device);

@@ -74,7 +74,7 @@ impl Room {
             mask: u32::MAX,
             kind: 0,
             flags: 0,
-            reserved: 0,
+            instance_mask: 0,
         };
         let meta = format!("{{\"image\":[{},{}]}}", IMAGE[0], IMAGE[1]);
         let contents = Contents {

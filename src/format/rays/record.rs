@@ -25,6 +25,10 @@ pub mod flag {
     /// The triangles cannot decide this hit: it is of something that is none, or that moves; or it is an occlusion, in a scene
     /// with such things.
     pub const UNDECIDED: u8 = 8;
+    /// The program's own functions, a filter or those of a user geometry, changed where the ray
+    /// ends: the hit is one, but there may be closer ones, and where there is none there may be
+    /// some.
+    pub const INTERRUPTED: u8 = 16;
 }
 
 /// Why a renderer asked ([`Record::purpose`]).

@@ -2,6 +2,7 @@
 //!
 //! The mapping has no name: the program opens it through this process's descriptors, so nothing is left behind however both
 //! end. Another process writes to it at any time, so there are no references into it: fields are read atomically, slots copied.
+//! Slots have locks that the program's threads hold; here they are only made.
 
 use crate::embree::ffi::{
     self, EXCHANGE_CAPTURES, EXCHANGE_FREE, EXCHANGE_FULL, EXCHANGE_MAGIC, EXCHANGE_OWNED, EXCHANGE_PATH,
@@ -13,7 +14,7 @@ use crate::zeroed::zeroed_vec;
 use memmap2::{MmapOptions, MmapRaw};
 use std::fs::File;
 use std::io;
-use std::mem::offset_of;
+use std::mem::{MaybeUninit, offset_of};
 use std::os::fd::{AsRawFd, FromRawFd};
 use std::path::Path;
 use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering};
@@ -22,6 +23,11 @@ const NUMBERS: usize = size_of::<ExchangeHeader>().next_multiple_of(64);
 const CAPTURES: usize = NUMBERS + 4 * EXCHANGE_SCENES as usize;
 const SLOTS: usize = CAPTURES + EXCHANGE_CAPTURES as usize;
 const BYTES: usize = SLOTS + EXCHANGE_SLOTS as usize * size_of::<ExchangeSlot>();
+const _: () = assert!(size_of::<libc::pthread_mutex_t>() <= 5 * size_of::<u64>());
+const _: () = assert!(
+    (SLOTS + offset_of!(ExchangeSlot, lock)).is_multiple_of(align_of::<libc::pthread_mutex_t>())
+        && size_of::<ExchangeSlot>().is_multiple_of(align_of::<libc::pthread_mutex_t>())
+);
 
 /// A file in memory, without a name; closed in programs that are started.
 pub fn memory_file(name: &std::ffi::CStr) -> io::Result<File> {
@@ -50,6 +56,8 @@ pub struct Counters {
     pub unrecorded: u64,
     pub unnumbered: u64,
     pub lost_rejects: u64,
+    /// Closest-hit queries whose interval the program's own functions have changed.
+    pub interrupted: u64,
     /// What ended the recording early.
     pub failure: Option<String>,
 }
@@ -102,7 +110,30 @@ impl Exchange {
             );
             (*header).magic = EXCHANGE_MAGIC;
         }
+        exchange.make_locks()?;
         Ok(exchange)
+    }
+
+    /// Makes the slots' locks. Each is robust, so that the kernel tells when an owner has ended
+    /// with it, and of several processes.
+    fn make_locks(&self) -> io::Result<()> {
+        let checked = |error: i32| if error == 0 { Ok(()) } else { Err(io::Error::from_raw_os_error(error)) };
+        let mut attributes = MaybeUninit::<libc::pthread_mutexattr_t>::uninit();
+        let attributes = attributes.as_mut_ptr();
+        // SAFETY: the attributes are made before they are changed, used and destroyed, here and
+        // once. A lock is made in bytes of its slot that are kept for it, large and aligned enough,
+        // as asserted below; no other process has the mapping yet, and it is never moved: programs
+        // map the same memory.
+        unsafe {
+            checked(libc::pthread_mutexattr_init(attributes))?;
+            checked(libc::pthread_mutexattr_setrobust(attributes, libc::PTHREAD_MUTEX_ROBUST))?;
+            checked(libc::pthread_mutexattr_setpshared(attributes, libc::PTHREAD_PROCESS_SHARED))?;
+            for index in 0..EXCHANGE_SLOTS as usize {
+                let lock = SLOTS + index * size_of::<ExchangeSlot>() + offset_of!(ExchangeSlot, lock);
+                checked(libc::pthread_mutex_init(self.map.as_mut_ptr().add(lock).cast(), attributes))?;
+            }
+            checked(libc::pthread_mutexattr_destroy(attributes))
+        }
     }
 
     /// What `EMBREE_TRACE_EXCHANGE` is set to.
@@ -166,6 +197,7 @@ impl Exchange {
             unrecorded: u64_at(offset_of!(ExchangeHeader, unrecorded)),
             unnumbered: u64_at(offset_of!(ExchangeHeader, unnumbered)),
             lost_rejects: u64_at(offset_of!(ExchangeHeader, lost_rejects)),
+            interrupted: u64_at(offset_of!(ExchangeHeader, interrupted)),
             failure: (u32_at(offset_of!(ExchangeHeader, failed)) == 2).then(|| {
                 // SAFETY: inside of the mapping; the text is not written again once `failed` is 2.
                 let text = unsafe {

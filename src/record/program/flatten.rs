@@ -85,7 +85,7 @@ pub fn flatten<'a>(
     }
     let mut warnings = Vec::new();
     let triangles = triangles(top, &placed);
-    let geometries = geometries(top, &placed, &mut warnings);
+    let geometries = geometries(top, &placed);
 
     let moves = |geometry: &&Geometry| geometry.flags & geometry_flag::MOVING != 0;
     let moving: Vec<u32> = geometries
@@ -150,14 +150,21 @@ fn triangles(top: &Capture, placed: &[Placed]) -> Vec<Triangle> {
 }
 
 /// The elements of `GEOM`.
-fn geometries(top: &Capture, placed: &[Placed], warnings: &mut Vec<String>) -> Vec<Geometry> {
-    let geometry = |instance: u32, part: &Part, first: u32, mask: u32, moving: bool| {
+fn geometries(top: &Capture, placed: &[Placed]) -> Vec<Geometry> {
+    let geometry = |instance: u32, part: &Part, first: u32, masks: [u32; 2], moving: bool| {
         let kind = match part.kind {
             Kind::Triangles => geometry_kind::TRIANGLES,
             Kind::Quads => geometry_kind::QUADS,
             Kind::Instance { .. } | Kind::Other { .. } => return None,
         };
         let (geometry, triangle_count) = (part.geometry, part.triangle_count);
+        // A query needs a bit of both masks. One mask says that when one of them holds the other.
+        let [own, instances] = masks;
+        let (mask, instance_mask, two) = match own & instances {
+            both if both == own || both == instances => (both, 0, 0),
+            _ => (own, instances, geometry_flag::INSTANCE_MASK),
+        };
+        let flags = two | if moving { geometry_flag::MOVING } else { 0 };
         Some(Geometry {
             instance,
             geometry,
@@ -165,34 +172,24 @@ fn geometries(top: &Capture, placed: &[Placed], warnings: &mut Vec<String>) -> V
             triangle_count,
             mask,
             kind,
-            flags: if moving { geometry_flag::MOVING } else { 0 },
-            reserved: 0,
+            flags,
+            instance_mask,
         })
     };
     let mut geometries = Vec::new();
     let mut instances = placed.iter();
-    let mut masks_mixed = 0;
     for part in &top.parts {
         if !matches!(part.kind, Kind::Instance { .. }) {
-            geometries.extend(geometry(NO_INSTANCE, part, part.first_triangle, part.mask, part.moving));
+            let masks = [part.mask, u32::MAX];
+            geometries.extend(geometry(NO_INSTANCE, part, part.first_triangle, masks, part.moving));
             continue;
         }
         let of = instances.next().expect("one for each instance, in their order").of;
         for inner in &of.parts {
-            // A query needs a bit of both masks. One mask says that when one of them holds the other.
-            let mask = part.mask & inner.mask;
-            if mask != part.mask && mask != inner.mask {
-                masks_mixed += 1;
-            }
             let first = part.first_triangle + inner.first_triangle;
             let moving = part.moving || inner.moving;
-            geometries.extend(geometry(part.geometry, inner, first, mask, moving));
+            geometries.extend(geometry(part.geometry, inner, first, [inner.mask, part.mask], moving));
         }
-    }
-    if masks_mixed > 0 {
-        warnings.push(format!(
-            "{masks_mixed} instanced geometries have a mask of their own beside their instance's; a replay takes the bits that both have"
-        ));
     }
     geometries
 }
@@ -313,10 +310,28 @@ mod tests {
             found.geometries.iter().map(|g| (g.instance, g.geometry, g.first_triangle, g.mask)).collect();
         assert_eq!(
             geometries,
-            [(0, 4, 0, u32::MAX), (0, 7, 1, 6), (NO_INSTANCE, 1, 3, 1), (3, 4, 4, 0xA), (3, 7, 5, 2)]
+            [(0, 4, 0, u32::MAX), (0, 7, 1, 6), (NO_INSTANCE, 1, 3, 1), (3, 4, 4, 0xA), (3, 7, 5, 6)]
         );
-        // 0xA and 6 do not hold one another.
-        assert_eq!(found.warnings.len(), 1);
+        assert!(found.warnings.is_empty());
+    }
+
+    /// A query sees what both masks let it see, whichever they are; and where one mask says that,
+    /// there is one.
+    #[test]
+    fn masks_of_instance_and_geometry() {
+        for (own, instances) in (0..8).flat_map(|own| (0..8).map(move |instances| (own, instances))) {
+            let (mut top, mut child) = (top(), instanced());
+            (child.parts[0].mask, top.parts[0].mask) = (own, instances);
+            let found = flatten(&top, |_| Some(&child), 7).unwrap().geometries[0];
+            for query in 0..8 {
+                let seen = found.masks().iter().all(|mask| query & mask != 0);
+                assert_eq!(seen, query & own != 0 && query & instances != 0, "{own} {instances} {query}");
+            }
+            let one =
+                (0..8).any(|mask| (0..8).all(|q| (q & mask != 0) == (q & own != 0 && q & instances != 0)));
+            assert_eq!(found.flags & geometry_flag::INSTANCE_MASK == 0, one);
+            assert!(!one || found.instance_mask == 0);
+        }
     }
 
     #[test]
@@ -326,7 +341,7 @@ mod tests {
         child.doubt = "a node is odd".to_owned();
         let found = flatten(&top, |_| Some(&child), 7).unwrap();
         verified(&found);
-        assert!(found.warnings[1].contains("a node is odd"));
+        assert!(found.warnings[0].contains("a node is odd"));
         assert_eq!((found.flags, found.tree.primitives.len()), (flag::FLATTENED, 7));
     }
 

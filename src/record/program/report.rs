@@ -89,7 +89,7 @@ pub struct Report {
 impl Report {
     /// Adds what the counters tell of things that are missing.
     pub fn warn(&mut self, counters: &Counters) {
-        let Counters { unrecorded, unnumbered, lost_rejects, foreign, .. } = *counters;
+        let Counters { unrecorded, unnumbered, lost_rejects, interrupted, foreign, .. } = *counters;
         let mut warn = |holds: bool, text: String| {
             if holds {
                 self.warnings.push(text);
@@ -98,7 +98,8 @@ impl Report {
         warn(
             unrecorded > 0,
             format!(
-                "{unrecorded} queries are not recorded: more threads or rays at once than there is room for"
+                "{unrecorded} queries are not recorded: more living threads had asked at a time, or more \
+                 rays at once, than there is room for"
             ),
         );
         warn(
@@ -109,6 +110,14 @@ impl Report {
             lost_rejects > 0,
             format!(
                 "{lost_rejects} rejects of filters are not recorded: a replay may hit what they rejected"
+            ),
+        );
+        warn(
+            interrupted > 0,
+            format!(
+                "{interrupted} closest-hit queries were ended elsewhere than at their hit, by the program's own \
+                 filters or geometries: the hit is recorded where it was found, and not judged, for there \
+                 may be closer ones"
             ),
         );
         warn(
