@@ -1,10 +1,15 @@
 //! Text files as statements: encodings, line ends and continuation lines are dealt with here, once, so that the OBJ and MTL
 //! readers see plain lines of bytes.
 //!
+//! A line ends with LF, CR LF or CR, or with LF CR where the first one does. A backslash at its
+//! end, blanks behind it or not, continues the statement in the next line, except where that begins
+//! a statement of its own. A comment ends with its line, whatever stands last in it; and in a
+//! statement that gives a name, only a backslash that stands alone continues.
+//!
 //! Bytes come as one slice (a memory map: nothing is copied) or from a reader in blocks (a decompressor: only one block and
 //! the line it cuts are held). UTF-16, with or without a mark, is turned into UTF-8 on the way; a UTF-8 mark is dropped.
 
-use memchr::{memchr2, memrchr};
+use memchr::{memchr_iter, memchr2, memchr2_iter, memrchr2_iter};
 use std::io::{self, Read};
 
 /// The longest line, continuations included; a longer one is skipped.
@@ -59,11 +64,14 @@ pub fn from_reader(mut reader: impl Read, sink: &mut impl Sink) -> io::Result<()
             text.drain(..end);
             skipping = false;
         }
-        // Whole lines only. A last '\r' may be half of a line end, so it waits for the next block.
-        let cut = match memrchr(b'\n', &text) {
-            _ if last => text.len(),
-            Some(end) => end + 1,
-            None => memrchr(b'\r', &text[..text.len().saturating_sub(1)]).map_or(0, |end| end + 1),
+        // Whole lines only, and no line end of two characters in two parts. What comes after the
+        // last byte is not known yet.
+        let cut = if last {
+            text.len()
+        } else {
+            let known = text.len().saturating_sub(1);
+            let whole = |&end: &usize| !matches!(&text[end..end + 2], b"\r\n" | b"\n\r");
+            memrchr2_iter(b'\n', b'\r', &text[..known]).find(whole).map_or(0, |end| end + 1)
         };
         if !skipping {
             splitter.block(&text[..cut], sink);
@@ -97,16 +105,19 @@ fn fill(reader: &mut impl Read, buffer: &mut [u8]) -> io::Result<usize> {
     Ok(filled)
 }
 
-fn without_mark(bytes: &[u8]) -> &[u8] {
+/// Without a UTF-8 byte order mark.
+pub fn without_mark(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes)
 }
 
-/// Cuts blocks of whole lines into lines, and joins those that end in a backslash.
+/// Cuts blocks of whole lines into lines, and joins those that go on.
 #[derive(Default)]
 struct Splitter {
     /// Lines seen so far.
     number: u64,
-    /// Parts of a line that goes on, and the number of the first.
+    /// Whether lines end with LF CR.
+    reversed_ends: bool,
+    /// Parts of a statement that goes on, and the number of the first line.
     joined: Vec<u8>,
     joined_from: u64,
     joining: bool,
@@ -115,13 +126,21 @@ struct Splitter {
 impl Splitter {
     #[inline]
     fn block(&mut self, mut block: &[u8], sink: &mut impl Sink) {
+        if self.number == 0 {
+            let first = memchr2_iter(b'\n', b'\r', block).next();
+            self.reversed_ends = first.is_some_and(|end| block[end..].starts_with(b"\n\r"));
+        }
         while !block.is_empty() {
             let end = memchr2(b'\n', b'\r', block).unwrap_or(block.len());
             let line = &block[..end];
-            let newline = if block[end..].starts_with(b"\r\n") { 2 } else { 1 };
-            block = block.get(end + newline..).unwrap_or(&[]);
+            let two = match &block[end..] {
+                [b'\r', b'\n', ..] => true,
+                [b'\n', b'\r', ..] => self.reversed_ends,
+                _ => false,
+            };
+            block = block.get(end + if two { 2 } else { 1 }..).unwrap_or(&[]);
             self.number += 1;
-            if self.joining || line.last() == Some(&b'\\') {
+            if self.joining || may_go_on(line) {
                 self.join(line, sink);
             } else {
                 sink.line(self.number, line);
@@ -130,20 +149,25 @@ impl Splitter {
     }
 
     fn join(&mut self, line: &[u8], sink: &mut impl Sink) {
+        if self.joining && begins_statement(line) {
+            self.finish(sink);
+        }
+        let part = continued(line, self.joining);
         if !self.joining {
-            if !can_continue(line) {
+            let Some(part) = part else {
                 sink.line(self.number, line);
                 return;
-            }
+            };
             self.joined_from = self.number;
             self.joining = true;
+            self.joined.extend_from_slice(part);
+            return;
         }
-        let goes_on = line.last() == Some(&b'\\');
         if self.joined.len() <= MAX_LINE {
-            self.joined.extend_from_slice(line.strip_suffix(b"\\").unwrap_or(line));
             self.joined.push(b' ');
+            self.joined.extend_from_slice(part.unwrap_or(line));
         }
-        if !goes_on {
+        if part.is_none() {
             self.finish(sink);
         }
     }
@@ -161,13 +185,89 @@ impl Splitter {
     }
 }
 
-/// Names and comments may end in a backslash of their own (`# from C:\`); statements made of numbers go on in the next line.
-fn can_continue(line: &[u8]) -> bool {
-    let line = line.trim_ascii_start();
-    let keyword = line.split(u8::is_ascii_whitespace).next().unwrap_or(&[]);
-    !(keyword.starts_with(b"#")
-        || keyword.starts_with(b"map_")
-        || matches!(keyword, b"o" | b"usemtl" | b"mtllib" | b"newmtl"))
+/// Whether a line ends in a backslash, or in blanks with one before.
+#[inline]
+fn may_go_on(line: &[u8]) -> bool {
+    match line.last() {
+        Some(b'\\') => true,
+        Some(b' ' | b'\t') => line.trim_ascii_end().ends_with(b"\\"),
+        _ => false,
+    }
+}
+
+/// A line that goes on, without the backslash. `part` says that it is not the first line of its
+/// statement.
+fn continued(line: &[u8], part: bool) -> Option<&[u8]> {
+    let statement = line.trim_ascii_end().strip_suffix(b"\\")?;
+    let alone = statement.last().is_none_or(u8::is_ascii_whitespace);
+    let commented = without_comment(line).len() < line.len();
+    (!commented && (alone || part || !gives_name(statement))).then_some(statement)
+}
+
+fn keyword(line: &[u8]) -> &[u8] {
+    line.trim_ascii_start().split(u8::is_ascii_whitespace).next().unwrap_or(&[])
+}
+
+/// Whether what stands behind the keyword may hold any character.
+fn gives_name(line: &[u8]) -> bool {
+    let keyword = keyword(line);
+    keyword.starts_with(b"map_")
+        || keyword.eq_ignore_ascii_case(b"newmtl")
+        || matches!(
+            keyword,
+            b"o" | b"g"
+                | b"usemtl"
+                | b"mtllib"
+                | b"usemap"
+                | b"maplib"
+                | b"bump"
+                | b"disp"
+                | b"decal"
+                | b"refl"
+                | b"norm"
+                | b"shadow_obj"
+                | b"trace_obj"
+        )
+}
+
+/// Whether a line cannot be the second part of a statement: no number, and none of the names in
+/// lists, is such a word.
+fn begins_statement(line: &[u8]) -> bool {
+    gives_name(line)
+        || matches!(
+            keyword(line),
+            b"v" | b"vn"
+                | b"vt"
+                | b"vp"
+                | b"f"
+                | b"fo"
+                | b"l"
+                | b"p"
+                | b"s"
+                | b"Kd"
+                | b"Ka"
+                | b"Ks"
+                | b"Ke"
+                | b"Ns"
+                | b"Ni"
+                | b"Tf"
+                | b"Tr"
+                | b"d"
+                | b"illum"
+        )
+}
+
+/// A line up to its comment.
+///
+/// In a statement of numbers `#` begins one wherever it stands. In one that gives a name it does so
+/// behind a blank, unless a digit follows: `Material #25` and `C#minor` are names.
+pub fn without_comment(line: &[u8]) -> &[u8] {
+    let named = gives_name(line);
+    let comment = |at: &usize| {
+        let blank_before = *at == 0 || line[at - 1].is_ascii_whitespace();
+        !named || blank_before && !line.get(at + 1).is_some_and(u8::is_ascii_digit)
+    };
+    memchr_iter(b'#', line).find(comment).map_or(line, |at| &line[..at])
 }
 
 /// Turns UTF-16 into UTF-8, a block at a time.
@@ -239,19 +339,47 @@ mod tests {
 
     #[test]
     fn every_line_end() {
-        for text in ["a\nb\n\nc", "a\r\nb\r\n\r\nc\r\n", "a\rb\r\rc\r"] {
+        for text in ["a\nb\n\nc", "a\r\nb\r\n\r\nc\r\n", "a\rb\r\rc\r", "a\n\rb\n\r\n\rc\n\r"] {
             assert_eq!(lines(text.as_bytes()), expect(&[(1, "a"), (2, "b"), (4, "c")]), "{text:?}");
         }
     }
 
     #[test]
-    fn continuation_lines_are_joined_but_names_and_comments_are_not() {
-        assert_eq!(lines(b"f 1 \\\n2\\\n3\nv"), expect(&[(1, "f 1  2 3 "), (4, "v")]));
-        assert_eq!(
-            lines(b"# C:\\\nv\no C:\\\r\nv"),
-            expect(&[(1, "# C:\\"), (2, "v"), (3, "o C:\\"), (4, "v")])
-        );
-        assert_eq!(lines(b"f 1 2 3\\"), expect(&[(1, "f 1 2 3 ")]));
+    fn statements_go_on_in_the_next_line() {
+        assert_eq!(lines(b"f 1 \\\n2\\\n3\nv"), expect(&[(1, "f 1  2 3"), (4, "v")]));
+        assert_eq!(lines(b"f 1 2 3\\"), expect(&[(1, "f 1 2 3")]));
+        assert_eq!(lines(b"f 1 2 \\ \t\r\n 3 # \\\r\nv"), expect(&[(1, "f 1 2   3 # \\"), (3, "v")]));
+        assert_eq!(lines(b"#\n\rf 1 \\\n\r2\n\rv"), expect(&[(1, "#"), (2, "f 1  2"), (4, "v")]));
+        // The backslash is one too many.
+        assert_eq!(lines(b"f 1 2 3\\\nf 1 3 4"), expect(&[(1, "f 1 2 3"), (2, "f 1 3 4")]));
+        assert_eq!(lines(b"mtllib a \\\n b\nv"), expect(&[(1, "mtllib a   b"), (3, "v")]));
+    }
+
+    #[test]
+    fn names_and_comments_may_end_in_a_backslash() {
+        for line in
+            ["# C:\\", "f 1 2 3 # C:\\", "v 0 0 0# \\", "o C:\\", "g C:\\ ", "usemtl a # b \\", "bump C:\\"]
+        {
+            let text = format!("{line}\nx\n");
+            assert_eq!(lines(text.as_bytes()), expect(&[(1, line), (2, "x")]));
+        }
+    }
+
+    #[test]
+    fn comments() {
+        for (line, statement) in [
+            ("f 1 2 3# a", "f 1 2 3"),
+            ("v 0 0 0 # a # b", "v 0 0 0 "),
+            ("# a", ""),
+            ("usemtl m # main", "usemtl m "),
+            ("usemtl m #main", "usemtl m "),
+            ("usemtl #", "usemtl "),
+            ("o C#minor", "o C#minor"),
+            ("newmtl Material #25 # wood", "newmtl Material #25 "),
+            ("illum 3# mirror", "illum 3"),
+        ] {
+            assert_eq!(without_comment(line.as_bytes()), statement.as_bytes());
+        }
     }
 
     #[test]

@@ -2,6 +2,7 @@
 //!
 //! `Kd` is the diffuse reflectance, `Ke` the emission. `Ks` is a mirror only under an illumination model that reflects
 //! (`illum` 3 to 9); under the others it describes a highlight, for which no ray is asked. Textures and transparency are ignored.
+//! The first definition of a name counts.
 
 use super::lines::{self, Sink};
 use super::{Kind, Material, Warnings, number};
@@ -9,7 +10,8 @@ use crate::geometry::Vec3;
 use std::collections::HashMap;
 use std::io::{self, Write};
 
-/// Reads a library and adds its materials to `materials` by name; a later definition replaces an earlier one.
+/// Reads a library and adds its materials to `materials` by name; a name that is there keeps its
+/// material.
 pub fn parse(bytes: &[u8], materials: &mut HashMap<String, Material>, warnings: &mut Warnings) {
     let mut reader = Reader { materials, warnings, current: None };
     lines::from_slice(bytes, &mut reader);
@@ -57,7 +59,7 @@ struct Current {
 
 impl Sink for Reader<'_> {
     fn line(&mut self, number: u64, line: &[u8]) {
-        let line = line.trim_ascii();
+        let line = lines::without_comment(line).trim_ascii();
         let end = line.iter().position(u8::is_ascii_whitespace).unwrap_or(line.len());
         let (keyword, rest) = line.split_at(end);
         let rest = rest.trim_ascii();
@@ -100,7 +102,7 @@ impl Reader<'_> {
         if (3..=9).contains(&illumination) {
             material.specular = highlight.clamp(Vec3::ZERO, Vec3::ONE);
         }
-        self.materials.insert(material.name.clone(), material);
+        self.materials.entry(material.name.clone()).or_insert(material);
     }
 }
 
@@ -109,10 +111,8 @@ fn read_colour(rest: &[u8]) -> Option<Vec3> {
     let mut values = rest.split(u8::is_ascii_whitespace).filter(|token| !token.is_empty());
     let red = number::parse_f32(values.next()?)?;
     let colour = match values.next() {
-        Some(green) if !green.starts_with(b"#") => {
-            Vec3::new(red, number::parse_f32(green)?, number::parse_f32(values.next()?)?)
-        }
-        _ => Vec3::splat(red),
+        Some(green) => Vec3::new(red, number::parse_f32(green)?, number::parse_f32(values.next()?)?),
+        None => Vec3::splat(red),
     };
     colour.is_finite().then_some(colour)
 }
@@ -141,6 +141,19 @@ mod tests {
         assert_eq!(materials["mirror"].diffuse, Vec3::new(1.0, 0.0, 0.5), "clamped");
         assert_eq!(materials["plain"].diffuse, Material::default().diffuse);
         assert_eq!(materials.len(), 3);
+    }
+
+    #[test]
+    fn comments_end_lines_and_the_first_definition_counts() {
+        let (materials, warnings) = read(
+            b"newmtl a # main\nKd 1 0 0# red\nKs 1 #grey\nillum 3 # mirror \\\nmap_Kd C:\\a\\\nKe 0,5 1.0D+00 0 # lamp\n\
+              newmtl a\nKd 0 1 0\nnewmtl b#1\nillum 3# mirror\nKs \\\n 1 1 \\ \n 1\n",
+        );
+        assert!(warnings.is_empty(), "{warnings}");
+        let a = &materials["a"];
+        assert_eq!((a.diffuse, a.specular, a.emission), (Vec3::X, Vec3::ONE, Vec3::new(0.5, 1.0, 0.0)));
+        assert_eq!(materials["b#1"].specular, Vec3::ONE);
+        assert_eq!(materials.len(), 2);
     }
 
     #[test]

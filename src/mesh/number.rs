@@ -10,10 +10,26 @@ const POWERS: [f64; 23] = [
     1e19, 1e20, 1e21, 1e22,
 ];
 
-/// The `f32` nearest to a decimal number, as `str::parse` has it; `None` where `str::parse` fails.
+/// The `f32` nearest to a decimal number, as `str::parse` has it; also with a Fortran exponent
+/// (`1.0D+00`) or a decimal comma (`0,5`). `None` for everything else.
 #[inline]
 pub fn parse_f32(token: &[u8]) -> Option<f32> {
-    fast(token).or_else(|| std::str::from_utf8(token).ok()?.parse().ok())
+    fast(token).or_else(|| {
+        let text = std::str::from_utf8(token).ok()?;
+        text.parse().ok().or_else(|| foreign(text)?.parse().ok())
+    })
+}
+
+/// The number in the usual letters, when other programs' letters stand in it.
+#[cold]
+fn foreign(text: &str) -> Option<String> {
+    let usual = text.strip_prefix(['-', '+']).unwrap_or(text);
+    let digits = usual.starts_with(|c: char| c.is_ascii_digit() || c == '.' || c == ',');
+    let commas = usual.matches(',').count();
+    if !digits || commas > 1 || commas == 1 && usual.contains('.') {
+        return None;
+    }
+    Some(text.replace(',', ".").replacen(['d', 'D'], "e", 1))
 }
 
 #[inline]
@@ -133,7 +149,6 @@ mod tests {
             "1e",
             "1e+",
             "1.2.3",
-            "1,5",
             "0x10",
             "1_0",
             "--1",
@@ -145,6 +160,26 @@ mod tests {
             "8388609.5",
         ] {
             assert_eq!(parse_f32(token.as_bytes()).map(f32::to_bits), standard(token.as_bytes()), "{token}");
+        }
+    }
+
+    #[test]
+    fn fortran_exponents_and_decimal_commas() {
+        let read = |token: &str| parse_f32(token.as_bytes());
+        for (token, value) in [
+            ("1.0D+00", 1.0),
+            ("-2.5d-1", -0.25),
+            ("1d2", 100.0),
+            ("0,5", 0.5),
+            ("-1,25E1", -12.5),
+            (",5", 0.5),
+            ("3,", 3.0),
+            ("1,5D3", 1500.0),
+        ] {
+            assert_eq!(read(token), Some(value), "{token}");
+        }
+        for token in ["1,000,000", "1.000,5", "1,000.5", "1d2d3", "d", "-d1", "1e2d3", "nand", "1,e,1", ","] {
+            assert_eq!(read(token), None, "{token}");
         }
     }
 

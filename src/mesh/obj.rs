@@ -1,8 +1,13 @@
 //! Wavefront OBJ, read as it is found in the wild: what cannot be used is skipped and counted, and never costs the rest of the file.
 //!
-//! One pass over the lines: `v` lines become vertices, `f` lines become triangles (or quads) of the current [`Part`] as soon as
-//! their vertices are known. A face that stands before its vertices waits until the end and then comes last in its part.
-//! Colours, weights, normals and texture coordinates do not decide which rays are asked, and are passed over.
+//! One pass over the lines: `v` lines become vertices, `f` lines become triangles (or quads) of the
+//! current [`Part`] as soon as their vertices are known. A face that stands before its vertices
+//! waits until the end and then comes last in its part. Colours, weights, normals and texture
+//! coordinates do not decide which rays are asked, and are passed over.
+//!
+//! A vertex of two coordinates has z = 0. `#` begins a comment, wherever it stands among numbers; in
+//! a name it does so behind a blank, unless a digit follows. Of several libraries that define a
+//! material, the first counts.
 
 mod write;
 
@@ -71,7 +76,8 @@ struct Reader {
     names: Names,
     /// Where each material name was first used.
     material_lines: HashMap<u32, u64>,
-    libraries: Vec<(u64, String)>,
+    /// Every `mtllib` statement, and its line.
+    libraries: Vec<(u64, Vec<u8>)>,
     corners: Vec<u32>,
     late: Vec<LateFace>,
     late_corners: Vec<u32>,
@@ -101,13 +107,22 @@ impl Names {
     }
 }
 
-/// The next word of a line, and what follows it.
+/// The next word of a line, and what follows it; a comment is no word, but what follows.
 #[inline]
 fn word(line: &[u8]) -> (&[u8], &[u8]) {
     let start = line.iter().position(|&byte| byte > b' ').unwrap_or(line.len());
     let line = &line[start..];
-    let end = line.iter().position(|&byte| byte <= b' ').unwrap_or(line.len());
+    // Of what stands in numbers nothing is below `#`, so there is one comparison for most bytes.
+    let ends = |&byte: &u8| byte <= b'#' && (byte <= b' ' || byte == b'#');
+    let end = line.iter().position(ends).unwrap_or(line.len());
     line.split_at(end)
+}
+
+/// What stands behind the keyword of a statement that gives a name.
+fn name(line: &[u8]) -> &[u8] {
+    let line = lines::without_comment(line).trim_ascii();
+    let end = line.iter().position(u8::is_ascii_whitespace).unwrap_or(line.len());
+    line[end..].trim_ascii()
 }
 
 impl Sink for Reader {
@@ -117,22 +132,24 @@ impl Sink for Reader {
         match keyword {
             b"v" => self.vertex(number, rest),
             b"f" | b"fo" => self.face(number, rest),
-            b"vn" | b"vt" | b"vp" | b"s" | b"" => {}
+            // Nothing, or a comment.
+            b"" => {}
+            b"vn" | b"vt" | b"vp" | b"s" => {}
             b"o" => {
-                self.object = self.names.number(rest.trim_ascii());
+                self.object = self.names.number(name(line));
                 self.group = 0;
                 self.current = [None; 2];
             }
             b"g" => {
-                self.group = self.names.number(rest.trim_ascii());
+                self.group = self.names.number(name(line));
                 self.current = [None; 2];
             }
             b"usemtl" => {
-                self.material = self.names.number(rest.trim_ascii());
+                self.material = self.names.number(name(line));
                 self.material_lines.entry(self.material).or_insert(number);
                 self.current = [None; 2];
             }
-            b"mtllib" => self.libraries.push((number, mtl::text(rest.trim_ascii()))),
+            b"mtllib" => self.libraries.push((number, line.to_owned())),
             _ => self.other(number, keyword),
         }
     }
@@ -170,6 +187,7 @@ impl Reader {
             self.warnings.add(Kind::TooManyVertices, line);
             return;
         }
+        let start = rest;
         let mut vertex = [f32::NAN; 3];
         let mut readable = true;
         for coordinate in &mut vertex {
@@ -179,6 +197,9 @@ impl Reader {
                 Some(value) => *coordinate = value,
                 None => readable = false,
             }
+        }
+        if !readable || rest.first() == Some(&b'#') {
+            readable = unusual_vertex(start, &mut vertex);
         }
         let vertex = Vec3::from(vertex);
         if !readable {
@@ -197,7 +218,7 @@ impl Reader {
         loop {
             let token;
             (token, rest) = word(rest);
-            if token.is_empty() || token[0] == b'#' {
+            if token.is_empty() {
                 break;
             }
             let Some(number) = corner(token) else {
@@ -262,7 +283,6 @@ impl Reader {
     /// Statements that carry no faces.
     fn other(&mut self, line: u64, keyword: &[u8]) {
         match keyword {
-            [b'#', ..] => {}
             b"p" | b"l" | b"cstype" | b"deg" | b"bmat" | b"step" | b"curv" | b"curv2" | b"surf" | b"parm"
             | b"trim" | b"hole" | b"scrv" | b"sp" | b"end" | b"con" => {
                 self.warnings.add(Kind::PointsLinesCurves, line)
@@ -301,23 +321,35 @@ impl Reader {
         let mut defined = HashMap::new();
         // A file of many parts may name its library before each of them.
         let mut seen = std::collections::HashSet::new();
-        for (line, name) in std::mem::take(&mut self.libraries) {
+        for (line, statement) in std::mem::take(&mut self.libraries) {
+            let name = mtl::text(name(&statement));
             if name.is_empty() || !seen.insert(name.clone()) {
                 continue;
             }
-            // A name may hold spaces; or the line may name several libraries.
-            let libraries = match load(&name) {
-                Some(bytes) => vec![Some(bytes)],
-                None if name.contains(char::is_whitespace) => {
-                    name.split_whitespace().map(&mut *load).collect()
-                }
-                None => vec![None],
+            let mut found = |name: &str| {
+                let library = load(name);
+                let bytes = library.as_deref();
+                bytes.map(|bytes| mtl::parse(bytes, &mut defined, &mut self.warnings)).is_some()
             };
-            for library in libraries {
-                match library {
-                    Some(bytes) => mtl::parse(&bytes, &mut defined, &mut self.warnings),
-                    None => self.warnings.add_named(Kind::MissingLibrary, line, &name),
-                }
+            if found(&name) {
+                continue;
+            }
+            // A name may hold what looks like a comment, or a comment may follow it without a
+            // blank.
+            let whole = mtl::text(word(&statement).1.trim_ascii());
+            let before = whole.split('#').next().unwrap_or_default().trim_end();
+            if [&whole, before].into_iter().any(|other| other != name && !other.is_empty() && found(other)) {
+                continue;
+            }
+            // A name may hold spaces; or the line may name several libraries.
+            let missing: Vec<&str> = match before.contains(char::is_whitespace) {
+                true => before.split_whitespace().filter(|&part| !found(part)).collect(),
+                false => vec![&name],
+            };
+            if missing.len() == before.split_whitespace().count() {
+                self.warnings.add_named(Kind::MissingLibrary, line, &name);
+            } else {
+                missing.iter().for_each(|part| self.warnings.add_named(Kind::MissingLibrary, line, part));
             }
         }
         let mut index_of = HashMap::new();
@@ -356,6 +388,35 @@ fn add_face(
     } else if !cutter.cut(vertices, corners, &mut part.indices) {
         warnings.add(Kind::PolygonAsFan, line);
     }
+}
+
+/// A vertex with a comment behind it, without z, or with what is no number; whether its coordinates
+/// could be read.
+#[cold]
+fn unusual_vertex(rest: &[u8], vertex: &mut [f32; 3]) -> bool {
+    *vertex = [f32::NAN; 3];
+    let mut count = 0;
+    let mut readable = true;
+    for token in rest.split(|&byte| byte <= b' ').filter(|token| !token.is_empty()) {
+        let comment = token.iter().position(|&byte| byte == b'#');
+        // Some C libraries write `1.#IND` and `1.#QNAN` for what is no number.
+        let comment = comment.filter(|&at| !token[..at].ends_with(b"1."));
+        let number = &token[..comment.unwrap_or(token.len())];
+        if !number.is_empty() {
+            match number::parse_f32(number) {
+                Some(value) => vertex[count] = value,
+                None => readable = false,
+            }
+            count += 1;
+        }
+        if comment.is_some() || count == 3 {
+            break;
+        }
+    }
+    if count == 2 {
+        vertex[2] = 0.0;
+    }
+    readable && count >= 2
 }
 
 /// The vertex number at the start of `7`, `7/1`, `7//2` or `7/1/2`. Numbers that are too large for any file stay too large.

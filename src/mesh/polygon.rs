@@ -1,27 +1,58 @@
-//! Polygons cut into triangles: as a fan when convex, by ear clipping (Meisters 1975) when not.
+//! Polygons cut into triangles: as a fan from the first corner when convex, else over the region
+//! that their edges enclose.
 //!
-//! A polygon is projected along the largest axis of its normal (Newell's sum). Products of `f32` differences are computed
-//! in `f64`, where they are exact for all but extreme coordinates. The work for one polygon is bounded in its corner count;
-//! one that crosses itself, or that is too large, ends as a fan.
+//! A polygon is seen along the largest axis of its normal (Newell's sum): its coordinates stay
+//! those of the file, so that what touches in the file touches here. One that has no plane is seen
+//! along the normal itself. `region` then covers what is inside, in n log n, by positions alone:
+//! whichever corner comes first, the triangles are the same.
 
-use crate::geometry::Vec3;
+mod region;
 
-/// Containment tests that ear clipping may spend per corner. A polygon of up to 1,024 corners never needs more.
-const TESTS_PER_CORNER: usize = 1024;
+use crate::geometry::{DVec3, Vec3};
+use region::Region;
+use robust::{Coord, orient2d};
+
+/// A power of two that lifts the smallest `f32` into the range that `region` computes in. It rounds
+/// nothing.
+const SCALE: f64 = (1_u64 << 40) as f64;
+
+/// Coordinates may be off by one unit in the last place of the polygon's largest, and, as files are
+/// often written with six digits, by a millionth of the polygon's size.
+const LAST_PLACE: f64 = 1.0 / (1 << 23) as f64;
+const SIX_DIGITS: f64 = 1.0 / (1 << 20) as f64;
+
+/// Of two axes along which a polygon shows nearly the same area, the first is taken, whatever the
+/// last bits say.
+const NEARLY: f64 = 1.0 - 1e-6;
+
+/// Areas of which no more than this share is left when they are added up tell no direction.
+const CANCELS: f64 = 1e-3;
 
 /// Buffers that are kept from polygon to polygon.
 #[derive(Default)]
 pub struct Cutter {
     points: Vec<[f64; 2]>,
-    previous: Vec<usize>,
-    next: Vec<usize>,
+    cycle: Vec<u32>,
+    region: Region,
+}
+
+/// Along which axis a polygon is seen.
+struct View {
+    axis: usize,
+    /// Whether it runs clockwise there.
+    clockwise: bool,
+    /// Twice the area as a vector, right-handed.
+    normal: DVec3,
 }
 
 impl Cutter {
-    /// Cuts the polygon with these corners into `corners.len() - 2` triangles and appends their vertex indices.
-    /// Every corner must be an index into `vertices`. The first triangle of a fan starts at the first corner, as everywhere.
+    /// Cuts the polygon with these corners and appends the vertex indices of its triangles, which
+    /// turn as the polygon does. Every corner must be an index into `vertices`. A convex polygon
+    /// becomes the fan from its first corner, as everywhere, and any simple one `corners.len() - 2`
+    /// triangles; one that touches itself as many as cover it.
     ///
-    /// Returns whether the cut is right; `false` when it is the fan of last resort.
+    /// Returns whether the triangles cover the polygon once; `false` when it crosses itself, and is
+    /// cut as a fan.
     pub fn cut(&mut self, vertices: &[Vec3], corners: &[u32], triangles: &mut Vec<u32>) -> bool {
         if corners.len() <= 3 {
             if corners.len() == 3 {
@@ -29,310 +60,245 @@ impl Cutter {
             }
             return true;
         }
-        if !self.project(vertices, corners) {
-            // No area or not finite: no cut is better than another.
+        let Some(view) = View::of(vertices, corners) else {
+            // On one line, or not finite: no cut is better than another.
             fan(corners, triangles);
             return true;
-        }
-        if corners.len() == 4 {
-            return self.cut_quad(corners, triangles);
-        }
-        if self.is_convex() {
+        };
+        self.see_along_axis(vertices, corners, view.axis);
+        let right = if let &[a, b, c, d] = corners {
+            self.cut_quad([a, b, c, d], vertices, &view, triangles)
+        } else if self.is_fan(view.clockwise) {
             fan(corners, triangles);
-            return true;
-        }
-        self.clip_ears(corners, triangles)
-    }
-
-    /// Fills `points` with the polygon seen from the side of its normal, so that it runs counter-clockwise.
-    fn project(&mut self, vertices: &[Vec3], corners: &[u32]) -> bool {
-        let Some(&first) = corners.first() else { return false };
-        let origin = vertices[first as usize].as_dvec3();
-        let mut normal = glam::DVec3::ZERO;
-        let at = |corner: u32| vertices[corner as usize].as_dvec3() - origin;
-        for (&corner, &after) in corners.iter().zip(corners.iter().cycle().skip(1)) {
-            normal += at(corner).cross(at(after));
-        }
-        if !normal.is_finite() || normal == glam::DVec3::ZERO {
-            return false;
-        }
-        let axis = normal.abs().max_position();
-        let (mut x, mut y) = ((axis + 1) % 3, (axis + 2) % 3);
-        if normal[axis] < 0.0 {
-            std::mem::swap(&mut x, &mut y);
-        }
-        self.points.clear();
-        self.points.extend(corners.iter().map(|&corner| {
-            let point = at(corner);
-            [point[x], point[y]]
-        }));
-        true
-    }
-
-    /// The diagonal from corner 0 unless only the other one is inside.
-    fn cut_quad(&self, corners: &[u32], triangles: &mut Vec<u32>) -> bool {
-        let &[a, b, c, d] = corners else { return false };
-        let turn = |i: usize, j: usize, k: usize| turn(self.points[i], self.points[j], self.points[k]);
-        if turn(0, 1, 2) >= 0.0 && turn(0, 2, 3) >= 0.0 {
-            triangles.extend([a, b, c, a, c, d]);
-            return true;
-        }
-        if turn(1, 2, 3) >= 0.0 && turn(1, 3, 0) >= 0.0 {
-            triangles.extend([b, c, d, b, d, a]);
-            return true;
-        }
-        fan(corners, triangles);
-        false
-    }
-
-    /// No right turn, and once around only: the first corner sees every edge from its left.
-    fn is_convex(&self) -> bool {
-        let points = &self.points;
-        let count = points.len();
-        (0..count).all(|i| {
-            let (a, b, c) = (points[i], points[(i + 1) % count], points[(i + 2) % count]);
-            turn(a, b, c) >= 0.0 && turn(points[0], a, b) >= 0.0
-        })
-    }
-
-    fn clip_ears(&mut self, corners: &[u32], triangles: &mut Vec<u32>) -> bool {
-        let count = corners.len();
-        self.previous.clear();
-        self.previous.extend((0..count).map(|i| (i + count - 1) % count));
-        self.next.clear();
-        self.next.extend((0..count).map(|i| (i + 1) % count));
-        let mut tests = TESTS_PER_CORNER.saturating_mul(count);
-        let mut remaining = count;
-        let mut ear = 0;
-        // Corners looked at since the last ear. A second round also accepts corners without area (repeated or collinear
-        // vertices), which would otherwise be cut first and leave the polygon with needles.
-        let mut looked = 0;
-        while remaining > 3 {
-            let (before, after) = (self.previous[ear], self.next[ear]);
-            if self.is_ear(before, ear, after, looked >= remaining, &mut tests) {
-                triangles.extend([corners[before], corners[ear], corners[after]]);
-                self.next[before] = after;
-                self.previous[after] = before;
-                remaining -= 1;
-                looked = 0;
-                // Stepping over the new neighbour spreads the ears around the polygon instead of making a fan of slivers.
-                ear = self.next[after];
-            } else {
-                ear = after;
-                looked += 1;
-                if looked > 2 * remaining || tests == 0 {
-                    break;
-                }
-            }
-        }
-        let last = [self.previous[ear], ear, self.next[ear]].map(|i| self.points[i]);
-        // A loop that runs the other way round leaves a triangle that does, too.
-        let right = remaining == 3 && turn(last[0], last[1], last[2]) >= 0.0;
-        // What is left: the last triangle, or a ring that cannot be cut properly.
-        let mut middle = self.next[ear];
-        for _ in 2..remaining {
-            let after = self.next[middle];
-            triangles.extend([corners[ear], corners[middle], corners[after]]);
-            middle = after;
+            true
+        } else {
+            self.cut_region(vertices, corners, view, triangles)
+        };
+        if !right {
+            fan(corners, triangles);
         }
         right
     }
 
-    /// Whether the triangle at `ear` turns left (or, on the second round, has no area) and no other corner lies in it.
-    fn is_ear(&self, before: usize, ear: usize, after: usize, flat: bool, tests: &mut usize) -> bool {
-        let [a, b, c] = [before, ear, after].map(|i| self.points[i]);
-        let area = turn(a, b, c);
-        if area < 0.0 || area.is_nan() {
-            return false;
-        }
-        if area == 0.0 {
-            // A corner in the middle of a straight edge, or a repeated one, can go; the tip of a spike too.
-            return flat;
-        }
-        let mut other = self.next[after];
-        while other != before {
-            if *tests == 0 {
-                return false;
+    fn see_along_axis(&mut self, vertices: &[Vec3], corners: &[u32], axis: usize) {
+        let (x, y) = ((axis + 1) % 3, (axis + 2) % 3);
+        self.points.clear();
+        self.points.extend(corners.iter().map(|&corner| {
+            let vertex = vertices[corner as usize];
+            [f64::from(vertex[x]) * SCALE, f64::from(vertex[y]) * SCALE]
+        }));
+    }
+
+    /// Twice the signed area of a triangle of corners, positive when it turns as the polygon; its
+    /// sign is exact.
+    #[inline]
+    fn turn(&self, clockwise: bool, [i, j, k]: [usize; 3]) -> f64 {
+        let [a, b, c] = [i, j, k].map(|corner| {
+            let [x, y] = self.points[corner];
+            Coord { x, y }
+        });
+        let turn = orient2d(a, b, c);
+        if clockwise { -turn } else { turn }
+    }
+
+    /// Whether the polygon is convex, and the fan from its first corner has no triangle without
+    /// area.
+    fn is_fan(&self, clockwise: bool) -> bool {
+        let count = self.points.len();
+        let turn = |corners| self.turn(clockwise, corners);
+        // Seen from the first corner, the others stand one after the other, through half a turn at
+        // most.
+        (1..count - 1).all(|i| turn([0, i, i + 1]) > 0.0)
+            && (2..count - 1).all(|i| turn([0, 1, i]) > 0.0)
+            && (0..count).all(|i| turn([i, (i + 1) % count, (i + 2) % count]) >= 0.0)
+    }
+
+    /// Along the diagonal from corner 0 unless only the other one is inside.
+    fn cut_quad(
+        &mut self,
+        corners: [u32; 4],
+        vertices: &[Vec3],
+        view: &View,
+        triangles: &mut Vec<u32>,
+    ) -> bool {
+        const DIAGONALS: [[[usize; 3]; 2]; 2] = [[[0, 1, 2], [0, 2, 3]], [[1, 2, 3], [1, 3, 0]]];
+        // The smaller one of a diagonal's two triangles; below zero, the diagonal is not inside.
+        let smaller = |cutter: &Cutter, clockwise: bool| {
+            DIAGONALS.map(|[one, other]| cutter.turn(clockwise, one).min(cutter.turn(clockwise, other)))
+        };
+        // The first diagonal that leaves both triangles an area, else the better one.
+        let choice = |[first, second]: [f64; 2], least: f64| {
+            if first > 0.0 || second <= 0.0 && first >= second {
+                (first >= least).then_some(0)
+            } else {
+                (second >= least).then_some(1)
             }
-            *tests -= 1;
-            let p = self.points[other];
-            if turn(a, b, p) >= 0.0
-                && turn(b, c, p) >= 0.0
-                && turn(c, a, p) >= 0.0
-                && !self.only_touches([a, b, c], other)
-            {
-                return false;
+        };
+        let along_axis = smaller(self, view.clockwise);
+        let mut chosen = choice(along_axis, 0.0);
+        if chosen.is_none() {
+            let rounding = Rounding::of(vertices, &corners);
+            let slack = self.slack(rounding.in_plane(view.axis));
+            if self.see_along_normal(vertices, &corners, view, &rounding) {
+                chosen = choice(smaller(self, false), 0.0);
             }
-            other = self.next[other];
+            chosen = chosen.or_else(|| choice(along_axis, -slack));
         }
+        let Some(chosen) = chosen else { return false };
+        triangles.extend(DIAGONALS[chosen].as_flattened().iter().map(|&corner| corners[corner]));
         true
     }
 
-    /// Whether corner `other`, which lies in or on the triangle, is one of its three points again and its edges stay out:
-    /// the two sides of a keyhole cut share points like that.
-    fn only_touches(&self, [a, b, c]: [[f64; 2]; 3], other: usize) -> bool {
-        let p = self.points[other];
-        let (entering, leaving) = (self.points[self.previous[other]], self.points[self.next[other]]);
-        let inside = |from: [f64; 2], at: [f64; 2], to: [f64; 2], q: [f64; 2]| {
-            turn(from, at, q) > 0.0 && turn(at, to, q) > 0.0
+    /// By how much rounding changes the area of a triangle of these points at most.
+    fn slack(&self, rounding: [f64; 2]) -> f64 {
+        let width = |axis: usize| {
+            let values = self.points.iter().map(|point| point[axis]);
+            values.clone().fold(f64::MIN, f64::max) - values.fold(f64::MAX, f64::min)
         };
-        let free = |from: [f64; 2], at: [f64; 2], to: [f64; 2]| {
-            p == at && !inside(from, at, to, entering) && !inside(from, at, to, leaving)
-        };
-        free(c, a, b) || free(a, b, c) || free(b, c, a)
+        width(0) * rounding[1] + width(1) * rounding[0]
     }
+
+    fn cut_region(
+        &mut self,
+        vertices: &[Vec3],
+        corners: &[u32],
+        view: View,
+        triangles: &mut Vec<u32>,
+    ) -> bool {
+        let mut cycle = std::mem::take(&mut self.cycle);
+        let reversed = one_way_round(vertices, corners, &mut cycle);
+        let rounding = Rounding::of(vertices, &cycle);
+        let start = triangles.len();
+        let view = View::of(vertices, &cycle).unwrap_or(view);
+        let error = if self.see_along_normal(vertices, &cycle, &view, &rounding) {
+            [rounding.largest(); 2]
+        } else {
+            self.see_along_axis(vertices, &cycle, view.axis);
+            rounding.in_plane(view.axis)
+        };
+        let right = self.region.cover(&self.points, &cycle, error, triangles);
+        self.cycle = cycle;
+        if reversed {
+            let (added, _) = triangles[start..].as_chunks_mut::<3>();
+            added.iter_mut().for_each(|triangle| triangle.swap(1, 2));
+        }
+        right
+    }
+
+    /// Fills `points` as seen along the normal, where the polygon runs counter-clockwise. Returns
+    /// `false`, with no promise about them, when all corners are in one plane, when there is no
+    /// telling which, or when two would become one.
+    fn see_along_normal(
+        &mut self,
+        vertices: &[Vec3],
+        corners: &[u32],
+        view: &View,
+        rounding: &Rounding,
+    ) -> bool {
+        let origin = vertices[corners[0] as usize].as_dvec3();
+        let at = |corner: u32| vertices[corner as usize].as_dvec3() - origin;
+        let edges = corners.iter().zip(corners.iter().cycle().skip(1));
+        let length: f64 = edges.map(|(&from, &to)| at(from).distance(at(to))).sum();
+        let Some(normal) = view.normal.try_normalize() else { return false };
+        // Corners that are off by so much change the area by so much.
+        if view.normal.length() * SCALE <= 4.0 * rounding.largest() * length {
+            return false;
+        }
+        let mean = corners.iter().map(|&corner| normal.dot(at(corner))).sum::<f64>() / corners.len() as f64;
+        let off_plane = |corner: u32| (normal.dot(at(corner)) - mean).abs() * SCALE;
+        let allowed = 2.0 * normal.abs().dot(rounding.0);
+        if corners.iter().all(|&corner| off_plane(corner) <= allowed) {
+            return false;
+        }
+        let (x, y) = normal.any_orthonormal_pair();
+        let seen = |corner: u32| {
+            let place = at(corner);
+            // Below this there is no precision left, and `region` computes no smaller numbers.
+            [x, y]
+                .map(|direction| direction.dot(place) * SCALE)
+                .map(|value| if value.abs() < region::SMALLEST { 0.0 } else { value })
+        };
+        let mut seen: Vec<_> = corners.iter().map(|&corner| (seen(corner), corner)).collect();
+        self.points.clear();
+        self.points.extend(seen.iter().map(|(point, _)| *point));
+        seen.sort_unstable_by(|a, b| a.0[0].total_cmp(&b.0[0]).then(a.0[1].total_cmp(&b.0[1])));
+        let one = seen.windows(2).any(|pair| {
+            let apart = || (at(pair[0].1) - at(pair[1].1)) * SCALE;
+            pair[0].0 == pair[1].0 && apart().abs().cmpgt(2.0 * rounding.0).any()
+        });
+        !one
+    }
+}
+
+impl View {
+    /// `None` when no edge spans an area with the first corner, or when a corner is not finite.
+    fn of(vertices: &[Vec3], corners: &[u32]) -> Option<View> {
+        let &first = corners.first()?;
+        let origin = vertices[first as usize].as_dvec3();
+        let at = |corner: u32| vertices[corner as usize].as_dvec3() - origin;
+        let (mut normal, mut spread) = (DVec3::ZERO, DVec3::ZERO);
+        for pair in corners.windows(2) {
+            let area = at(pair[0]).cross(at(pair[1]));
+            normal += area;
+            spread += area.abs();
+        }
+        if !normal.is_finite() || spread == DVec3::ZERO {
+            return None;
+        }
+        // Where areas cancel, as in a figure of eight, only their sizes tell the plane.
+        let cancels = normal.abs().max_element() <= CANCELS * spread.max_element();
+        let shown = if cancels { spread } else { normal.abs() };
+        let largest = shown.max_element() * NEARLY;
+        let axis = (0..3).find(|&axis| shown[axis] >= largest)?;
+        Some(View { axis, clockwise: normal[axis] < 0.0, normal })
+    }
+}
+
+/// How far each coordinate may be from what was meant, times [`SCALE`].
+struct Rounding(DVec3);
+
+impl Rounding {
+    fn of(vertices: &[Vec3], corners: &[u32]) -> Rounding {
+        let (mut lower, mut upper) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for &corner in corners {
+            let vertex = vertices[corner as usize].as_dvec3();
+            (lower, upper) = (lower.min(vertex), upper.max(vertex));
+        }
+        let size = (upper - lower).max_element();
+        Rounding((lower.abs().max(upper.abs()) * LAST_PLACE + DVec3::splat(size * SIX_DIGITS)) * SCALE)
+    }
+
+    fn in_plane(&self, axis: usize) -> [f64; 2] {
+        [self.0[(axis + 1) % 3], self.0[(axis + 2) % 3]]
+    }
+
+    fn largest(&self) -> f64 {
+        self.0.max_element()
+    }
+}
+
+/// Fills `cycle` with the corners in an order that depends on their positions only: from the
+/// smallest one on, towards the smaller one of its neighbours. Returns whether that turned them
+/// round.
+fn one_way_round(vertices: &[Vec3], corners: &[u32], cycle: &mut Vec<u32>) -> bool {
+    let place = |at: usize| vertices[corners[at % corners.len()] as usize].to_array();
+    let less = |a: [f32; 3], b: [f32; 3]| a.partial_cmp(&b) == Some(std::cmp::Ordering::Less);
+    let count = corners.len();
+    let first = (0..count).reduce(|a, b| if less(place(b), place(a)) { b } else { a }).unwrap_or(0);
+    cycle.clear();
+    cycle.extend_from_slice(&corners[first..]);
+    cycle.extend_from_slice(&corners[..first]);
+    let reversed = less(place(first + count - 1), place(first + 1));
+    if reversed {
+        cycle[1..].reverse();
+    }
+    reversed
 }
 
 fn fan(corners: &[u32], triangles: &mut Vec<u32>) {
     if let [first, rest @ ..] = corners {
         for pair in rest.windows(2) {
             triangles.extend([*first, pair[0], pair[1]]);
-        }
-    }
-}
-
-/// Twice the signed area of a triangle: positive for a left turn.
-#[inline]
-fn turn(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
-    (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::geometry::Triangle;
-    use proptest::prelude::*;
-    use std::f64::consts::TAU;
-
-    /// Cuts a polygon and returns whether that went well, and the triangles.
-    fn cut(polygon: &[Vec3]) -> (bool, Vec<Triangle>) {
-        let corners: Vec<u32> = (0..polygon.len() as u32).collect();
-        let mut indices = Vec::new();
-        let right = Cutter::default().cut(polygon, &corners, &mut indices);
-        assert_eq!(indices.len(), 3 * polygon.len().saturating_sub(2), "n - 2 triangles, always");
-        let (faces, _) = indices.as_chunks::<3>();
-        (right, faces.iter().map(|face| Triangle(face.map(|i| polygon[i as usize]))).collect())
-    }
-
-    /// The vector area of a planar polygon and the sum of its triangles' areas agree only when they cover it once.
-    fn covers(polygon: &[Vec3]) -> bool {
-        let (right, triangles) = cut(polygon);
-        let mut vector = glam::DVec3::ZERO;
-        for (i, a) in polygon.iter().enumerate() {
-            vector += a.as_dvec3().cross(polygon[(i + 1) % polygon.len()].as_dvec3());
-        }
-        let area = |t: &Triangle| {
-            let [a, b, c] = t.0.map(|v| v.as_dvec3());
-            (b - a).cross(c - a).length()
-        };
-        let sum: f64 = triangles.iter().map(area).sum();
-        right && (sum - vector.length()).abs() <= 1e-5 * vector.length()
-    }
-
-    fn flat(points: &[(f32, f32)]) -> Vec<Vec3> {
-        points.iter().map(|&(x, y)| Vec3::new(x, y, 0.0)).collect()
-    }
-
-    #[test]
-    fn convex_polygons_are_fans_from_the_first_corner() {
-        let mut indices = Vec::new();
-        let hexagon = flat(&[(0.0, 0.0), (1.0, 0.0), (2.0, 1.0), (2.0, 2.0), (1.0, 2.0), (0.0, 1.0)]);
-        assert!(Cutter::default().cut(&hexagon, &[0, 1, 2, 3, 4, 5], &mut indices));
-        assert_eq!(indices, [0, 1, 2, 0, 2, 3, 0, 3, 4, 0, 4, 5]);
-    }
-
-    #[test]
-    fn a_concave_quad_is_cut_through_its_reflex_corner() {
-        for turn in 0..4 {
-            let mut arrow = flat(&[(0.0, 0.0), (2.0, 1.0), (0.0, 2.0), (0.5, 1.0)]);
-            arrow.rotate_left(turn);
-            assert!(covers(&arrow), "turned by {turn}");
-            arrow.reverse();
-            assert!(covers(&arrow), "reversed, turned by {turn}");
-        }
-    }
-
-    #[test]
-    fn combs_keyholes_and_straight_edges() {
-        let mut comb = Vec::new();
-        for tooth in 0..230 {
-            let x = tooth as f32;
-            comb.extend([(x, 0.0), (x + 0.1, 9.0), (x + 0.2, 9.0), (x + 0.3, 0.0)]);
-        }
-        comb.extend([(230.0, -1.0), (0.0, -1.0)]);
-        assert!(comb.len() > 900 && covers(&flat(&comb)));
-        // A square with a square hole, joined by a cut that is walked both ways.
-        let ring = [
-            (0.0, 0.0),
-            (4.0, 0.0),
-            (4.0, 4.0),
-            (0.0, 4.0),
-            (0.0, 0.0),
-            (1.0, 1.0),
-            (1.0, 3.0),
-            (3.0, 3.0),
-            (3.0, 1.0),
-            (1.0, 1.0),
-        ];
-        assert!(covers(&flat(&ring)));
-        let straight =
-            [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (2.0, 0.0), (2.0, 2.0), (1.0, 1.0), (0.0, 2.0), (0.0, 1.0)];
-        assert!(covers(&flat(&straight)));
-    }
-
-    #[test]
-    fn what_crosses_itself_or_has_no_plane_still_gives_triangles() {
-        let loops: Vec<(f32, f32)> = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)].repeat(234);
-        cut(&flat(&loops));
-        assert!(!cut(&flat(&[(0.0, 0.0), (4.0, 4.0), (4.0, 0.0), (0.0, 4.1), (2.0, 9.0)])).0);
-        assert!(cut(&flat(&[(0.0, 0.0), (1.0, 1.0), (2.0, 2.0), (3.0, 3.0)])).0);
-        assert!(cut(&flat(&[(0.0, 0.0), (f32::NAN, 1.0), (2.0, 2.0), (f32::INFINITY, 3.0), (0.0, 1.0)])).0);
-        assert!(cut(&flat(&[(0.0, 0.0); 700])).0);
-    }
-
-    #[test]
-    fn the_work_for_a_huge_polygon_is_bounded() {
-        // A saw of 200,000 corners in which no ear is left after the first few: without a bound, hours.
-        let polygon: Vec<Vec3> = (0..200_000)
-            .map(|i| {
-                let angle = TAU * f64::from(i) * 7919.0 / 200_000.0;
-                Vec3::new(angle.cos() as f32, angle.sin() as f32, 0.0) * (1.0 + (i % 3) as f32)
-            })
-            .collect();
-        let started = std::time::Instant::now();
-        cut(&polygon);
-        assert!(started.elapsed().as_secs() < 20);
-    }
-
-    proptest! {
-        /// Star-shaped around the origin, and so simple, with corners that are reflex as often as not; in any plane.
-        #[test]
-        fn random_simple_polygons_keep_their_area(
-            radii in proptest::collection::vec(0.05_f64..1.0, 4..120),
-            axis in prop::array::uniform3(-1.0_f32..1.0),
-            reversed: bool,
-        ) {
-            let normal = Vec3::from(axis).try_normalize().unwrap_or(Vec3::Z);
-            let (x, y) = normal.any_orthonormal_pair();
-            let count = radii.len() as f64;
-            let mut polygon: Vec<Vec3> = radii
-                .iter()
-                .enumerate()
-                .map(|(i, radius)| {
-                    let angle = TAU * i as f64 / count;
-                    x * (radius * angle.cos()) as f32 + y * (radius * angle.sin()) as f32
-                })
-                .collect();
-            if reversed {
-                polygon.reverse();
-            }
-            prop_assert!(covers(&polygon));
-        }
-
-        #[test]
-        fn any_points_give_n_minus_2_triangles(points in proptest::collection::vec(any::<(f32, f32, f32)>(), 3..40)) {
-            let polygon: Vec<Vec3> = points.into_iter().map(Vec3::from).collect();
-            cut(&polygon);
         }
     }
 }

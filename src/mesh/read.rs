@@ -1,9 +1,10 @@
 //! A scene from a path: which format it is, whether it is compressed, where its materials are, and what to say when it is neither.
 //!
-//! The first bytes decide, not the name: `ply` opens a PLY, the zstd magic a compressed scene. What another magic opens is
-//! refused by that name; everything else is read as OBJ, which has no magic.
+//! The first bytes decide, not the name: a line `ply` opens a PLY, the zstd magic a compressed
+//! scene. What another magic opens is refused by that name; everything else is read as OBJ, which
+//! has no magic.
 
-use super::{Mesh, Warnings, obj, ply};
+use super::{Faces, Kind, Mesh, Warnings, obj, ply};
 use crate::files::{FileError, MappedFile};
 use crate::mesh::obj::Options;
 use std::fs::File;
@@ -34,8 +35,14 @@ pub enum MeshError {
 pub enum Problem {
     #[error("the file is empty; expected a scene (OBJ or PLY)")]
     Empty,
-    #[error("no faces in {vertices} vertices{}: is it an OBJ?", first_of(.warnings))]
+    #[error("no vertices and no faces{}: is it an OBJ?", first_of(.0))]
+    NoVertices(Box<Warnings>),
+    #[error("a point cloud: {0} vertices and no faces; rays need triangles, so make a surface of it first")]
+    PointCloud(usize),
+    #[error("no faces in {vertices} vertices{}", first_of(.warnings))]
     NoFaces { vertices: usize, warnings: Box<Warnings> },
+    #[error("no triangle of {triangles} has three finite corners{}: nothing can be hit", first_of(.warnings))]
+    NoFiniteTriangle { triangles: usize, warnings: Box<Warnings> },
     #[error("this is {0}; expected a scene (OBJ or PLY, plain or .zst)")]
     OtherFormat(&'static str),
     #[error("cannot decompress: {0}")]
@@ -77,7 +84,7 @@ fn scene(bytes: &[u8], path: &Path, options: &Options) -> Result<(Mesh, Warnings
     let mut load = |name: &str| library(path, name);
     let (mesh, warnings) = if bytes.starts_with(&zstd::zstd_safe::MAGICNUMBER.to_le_bytes()) {
         compressed(bytes, options, &mut load)?
-    } else if is_ply(bytes) {
+    } else if ply::is_ply(bytes) {
         ply::parse(bytes, options)?
     } else if let Some(format) = other_format(bytes) {
         return Err(Problem::OtherFormat(format));
@@ -85,9 +92,37 @@ fn scene(bytes: &[u8], path: &Path, options: &Options) -> Result<(Mesh, Warnings
         obj::parse(bytes, options, &mut load)
     };
     if mesh.parts.is_empty() {
-        return Err(Problem::NoFaces { vertices: mesh.vertices.len(), warnings: Box::new(warnings) });
+        return Err(without_faces(mesh.vertices.len(), warnings));
+    }
+    if !has_finite_triangle(&mesh) {
+        let triangles = mesh.triangle_count();
+        return Err(Problem::NoFiniteTriangle { triangles, warnings: Box::new(warnings) });
     }
     Ok((mesh, warnings))
+}
+
+fn without_faces(vertices: usize, warnings: Warnings) -> Problem {
+    let skipped =
+        [Kind::TooFewCorners, Kind::UnreadableCorner, Kind::IndexOutOfRange, Kind::PointsLinesCurves];
+    match vertices {
+        0 => Problem::NoVertices(Box::new(warnings)),
+        _ if skipped.iter().all(|&kind| warnings.count(kind) == 0) => Problem::PointCloud(vertices),
+        _ => Problem::NoFaces { vertices, warnings: Box::new(warnings) },
+    }
+}
+
+/// Whether any ray can hit anything.
+fn has_finite_triangle(mesh: &Mesh) -> bool {
+    let finite = |index: &u32| mesh.vertices[*index as usize].is_finite();
+    mesh.parts.iter().any(|part| {
+        let triangles = match part.faces {
+            Faces::Triangles => &[[0, 1, 2]][..],
+            Faces::Quads => &[[0, 1, 3], [2, 3, 1]],
+        };
+        part.indices.chunks_exact(part.faces.corners()).any(|face| {
+            triangles.iter().any(|triangle| triangle.iter().all(|&corner: &usize| finite(&face[corner])))
+        })
+    })
 }
 
 fn compressed(bytes: &[u8], options: &Options, load: obj::Loader) -> Result<(Mesh, Warnings), Problem> {
@@ -95,7 +130,7 @@ fn compressed(bytes: &[u8], options: &Options, load: obj::Loader) -> Result<(Mes
     decoder.window_log_max(MAX_WINDOW_LOG).map_err(Problem::Decompress)?;
     let mut text = BufReader::with_capacity(1 << 20, Limited { inner: decoder, left: MAX_DECOMPRESSED });
     let start = text.fill_buf().map_err(decompress_problem)?;
-    if is_ply(start) {
+    if ply::is_ply(start) {
         let mut whole = Vec::new();
         text.read_to_end(&mut whole).map_err(decompress_problem)?;
         return Ok(ply::parse(&whole, options)?);
@@ -104,10 +139,6 @@ fn compressed(bytes: &[u8], options: &Options, load: obj::Loader) -> Result<(Mes
         return Err(Problem::OtherFormat(format));
     }
     obj::parse_stream(text, options, load).map_err(decompress_problem)
-}
-
-fn is_ply(bytes: &[u8]) -> bool {
-    bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r")
 }
 
 /// A file that is easily taken for a scene: by swapped arguments, or because other tools read it.

@@ -16,7 +16,7 @@ pub enum Kind {
     UnreadableCorner,
     /// A face names vertex 0, or one that the file does not have.
     IndexOutOfRange,
-    /// A polygon crosses itself, or is too large to be cut with care; it was cut as a fan.
+    /// A polygon crosses itself; it was cut as a fan.
     PolygonAsFan,
     /// A `p`, `l`, curve or surface statement: no tree of ours holds these.
     PointsLinesCurves,
@@ -61,7 +61,7 @@ impl Kind {
             Kind::TooFewCorners => "faces skipped: fewer than three corners",
             Kind::UnreadableCorner => "faces skipped: a corner is not a vertex number",
             Kind::IndexOutOfRange => "faces skipped: no such vertex",
-            Kind::PolygonAsFan => "polygons that cross themselves or are too large, cut as fans",
+            Kind::PolygonAsFan => "polygons that cross themselves, cut as fans",
             Kind::PointsLinesCurves => "points, lines, curves or surfaces skipped",
             Kind::UnknownStatement => "unknown statements skipped",
             Kind::LineTooLong => "lines above 64 MiB skipped",
@@ -82,22 +82,29 @@ pub struct Warnings {
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Place {
-    line: u64,
+    /// What is counted: `line`, or an element of a binary file.
+    unit: &'static str,
+    number: u64,
     name: String,
 }
 
 impl Warnings {
-    /// One more of `kind`, at `line` (from 1; for binary files the element's number).
+    /// One more of `kind`, at `line` (from 1).
     pub(crate) fn add(&mut self, kind: Kind, line: u64) {
-        self.add_named(kind, line, "");
+        self.add_at(kind, "line", line, "");
     }
 
     /// One more of `kind`, about something that has a name.
     pub(crate) fn add_named(&mut self, kind: Kind, line: u64, name: &str) {
+        self.add_at(kind, "line", line, name);
+    }
+
+    /// One more of `kind`, at the `number`th `unit` (from 1) of a file that has no lines.
+    pub(crate) fn add_at(&mut self, kind: Kind, unit: &'static str, number: u64, name: &str) {
         self.counts[kind as usize] += 1;
         let first = &mut self.first[kind as usize];
         if first.is_none() {
-            *first = Some(Place { line, name: name.to_owned() });
+            *first = Some(Place { unit, number, name: name.to_owned() });
         }
     }
 
@@ -106,9 +113,10 @@ impl Warnings {
         self.counts[kind as usize]
     }
 
-    /// The line of the first one of `kind`, from 1.
+    /// The line of the first one of `kind`, from 1; in a file without lines, the number of its
+    /// element.
     pub fn first_line(&self, kind: Kind) -> Option<u64> {
-        self.first[kind as usize].as_ref().map(|place| place.line)
+        self.first[kind as usize].as_ref().map(|place| place.number)
     }
 
     /// Whether nothing was left out.
@@ -126,7 +134,7 @@ impl fmt::Display for Warnings {
             if !place.name.is_empty() {
                 write!(f, ": {}", place.name)?;
             }
-            write!(f, " at line {})", place.line)?;
+            write!(f, " at {} {})", place.unit, place.number)?;
             separator = "\n";
         }
         Ok(())
@@ -145,9 +153,11 @@ mod tests {
         warnings.add(Kind::IndexOutOfRange, 7);
         warnings.add(Kind::IndexOutOfRange, 9);
         warnings.add_named(Kind::MissingLibrary, 1, "a b.mtl");
+        warnings.add_at(Kind::NonFiniteCoordinate, "vertex", 3, "");
         assert_eq!(
             warnings.to_string(),
-            "2 faces skipped: no such vertex (first at line 7)\n1 material libraries not found (first: a b.mtl at line 1)"
+            "1 vertices with a NaN or infinite coordinate (first at vertex 3)\n\
+             2 faces skipped: no such vertex (first at line 7)\n1 material libraries not found (first: a b.mtl at line 1)"
         );
         assert_eq!(warnings.first_line(Kind::IndexOutOfRange), Some(7));
     }

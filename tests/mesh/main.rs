@@ -3,6 +3,7 @@
 mod fixtures;
 mod obj;
 mod ply;
+mod polygons;
 mod scenes;
 
 use embree_trace::mesh::{Mesh, Warnings};

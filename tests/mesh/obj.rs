@@ -52,18 +52,95 @@ fn a_bad_face_costs_only_itself() {
 #[test]
 fn coordinates_that_are_no_numbers_keep_their_place() {
     let (mesh, warnings) = read_obj(
-        "v nan -nan nan\nv inf -inf inf\nv 1.#IND -1.#IND 1.#INF\nv 3.1+e2 0 0\nv 1 2\nv .5 -.7e+2 5.\nf 6 6 6",
+        "v nan -nan nan\nv inf -inf inf\nv 1.#IND -1.#IND 1.#INF\nv 3.1+e2 0 0\nv 1\nv .5 -.7e+2 5.\nf 6 6 6",
     );
     assert_eq!(mesh.vertices.len(), 6);
     assert_eq!(mesh.vertices[5], Vec3::new(0.5, -70.0, 5.0));
     assert_eq!(mesh.vertices[1], Vec3::new(f32::INFINITY, f32::NEG_INFINITY, f32::INFINITY));
-    assert!(mesh.vertices[3].x.is_nan() && mesh.vertices[3].y == 0.0 && mesh.vertices[4].z.is_nan());
+    assert!(mesh.vertices[3].x.is_nan() && mesh.vertices[3].y == 0.0 && mesh.vertices[4].y.is_nan());
     assert_eq!(
         (warnings.count(Kind::UnreadableCoordinate), warnings.count(Kind::NonFiniteCoordinate)),
         (3, 2)
     );
     assert_eq!(warnings.first_line(Kind::UnreadableCoordinate), Some(3));
     assert_eq!(indices(&mesh), [5, 5, 5]);
+}
+
+#[test]
+fn two_coordinates_and_foreign_numbers() {
+    let text =
+        "v 0 0\nv 1 0 # x\nv 1 1# y\nv 0,5 1.0D+00 -2.5d-1\nv 1.#IND 0\nv 1 2 1.#INF\nv 1,5 2,5 3\nf 1 2 3 4";
+    let (mesh, warnings) = read_obj(text);
+    assert_eq!(
+        mesh.vertices[..4],
+        [Vec3::ZERO, Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::new(0.5, 1.0, -0.25)]
+    );
+    assert_eq!(mesh.vertices[6], Vec3::new(1.5, 2.5, 3.0));
+    assert_eq!(
+        (warnings.count(Kind::UnreadableCoordinate), warnings.first_line(Kind::UnreadableCoordinate)),
+        (2, Some(5))
+    );
+    assert_eq!(mesh.triangle_count(), 2);
+}
+
+#[test]
+fn comments_behind_every_statement() {
+    for comment in ["# a", " # a", "#", "\t#1 2 3", " # C:\\work\\", "# \\", " #\\ "] {
+        let text: String =
+            format!("{SQUARE}vn 0 0 1\nvt 0 0\ns off\nf 1 2 3\nf 1/1/1 3/1/1 4/1/1\nf -4//1 -3//1 -2//1\n")
+                .lines()
+                .map(|line| format!("{line}{comment}\n"))
+                .collect();
+        expect(&text, &[0, 1, 2, 0, 2, 3, 0, 1, 2], &[]);
+        expect(text.replace('\n', "\r\n"), &[0, 1, 2, 0, 2, 3, 0, 1, 2], &[]);
+        assert_eq!(read_obj(&text).0.vertices, read_obj(SQUARE).0.vertices);
+    }
+    expect(format!("{SQUARE}p 1 # a\nl 1 2# b\nf 1 2 3"), &[0, 1, 2], &[(Kind::PointsLinesCurves, 2, 5)]);
+}
+
+#[test]
+fn names_with_comments_backslashes_and_hashes() {
+    let names = |line: &str| {
+        let (mesh, warnings) = read_obj(format!("{SQUARE}{line}\nf 1 2 3\n"));
+        assert_eq!(indices(&mesh), [0, 1, 2], "{line}");
+        assert_eq!(warnings.count(Kind::UnknownStatement), 0, "{line}");
+        (mesh.parts[0].name.clone(), mesh.materials[0].name.clone())
+    };
+    for (name, kept) in [
+        ("a b", "a b"),
+        ("a # front", "a"),
+        ("a #front", "a"),
+        ("C#1", "C#1"),
+        ("Box #12 # a", "Box #12"),
+        ("C:\\parts\\", "C:\\parts\\"),
+        ("a\\ ", "a\\"),
+        ("a \\", "a"),
+    ] {
+        assert_eq!(names(&format!("o {name}")).0, kept);
+        assert_eq!(names(&format!("g {name}")).0, kept);
+        assert_eq!(names(&format!("usemtl {name}")).1, kept);
+    }
+    // Of one material, whatever is remarked about it, there is one part.
+    let text = format!("{SQUARE}usemtl a # front\nf 1 2 3\nusemtl a # back\nf 1 3 4");
+    assert_eq!(read_obj(text).0.parts.len(), 1);
+}
+
+#[test]
+fn statements_that_go_on() {
+    for end in ["\n", "\r\n", "\r", "\n\r"] {
+        for backslash in ["\\", " \\", " \\ ", "\\\t \t"] {
+            let text = format!("{SQUARE}f 1{backslash}\n 2{backslash}\n 3 4 # a \\\nf 1 \\\n2 4{backslash}\nf 2 3 4{backslash}")
+                .replace('\n', end);
+            expect(&text, &[0, 1, 2, 0, 2, 3, 0, 1, 3, 1, 2, 3], &[]);
+            expect(
+                format!("{text}{end}f 1 2 9"),
+                &[0, 1, 2, 0, 2, 3, 0, 1, 3, 1, 2, 3],
+                &[(Kind::IndexOutOfRange, 1, 11)],
+            );
+        }
+    }
+    let (mesh, warnings) = read_obj("v 0 0 0 \\\nv 1 0 \\ \n0\nv 0 \\\n1\nf 1 2 3");
+    assert_eq!((mesh.vertices, warnings.is_empty()), (vec![Vec3::ZERO, Vec3::X, Vec3::Y], true));
 }
 
 #[test]
@@ -156,6 +233,36 @@ fn material_libraries() {
 }
 
 #[test]
+fn of_two_definitions_the_first_counts() {
+    let diffuse = |statement: &str| {
+        let text = format!("{statement}\n{SQUARE}usemtl m\nf 1 2 3");
+        let (mesh, warnings) = obj::parse(text.as_bytes(), &Default::default(), &mut |name| match name {
+            "red.mtl" | "red # one.mtl" => Some(b"newmtl m\nKd 1 0 0\n".to_vec()),
+            "green.mtl" => Some(b"newmtl other\nnewmtl m\nKd 0 1 0\nnewmtl m\nKd 0 0 1".to_vec()),
+            _ => None,
+        });
+        (mesh.materials[0].diffuse, warnings.to_string())
+    };
+    let none = String::new;
+    for comment in ["", " # library", "# library", " #"] {
+        assert_eq!(diffuse(&format!("mtllib red.mtl{comment}")), (Vec3::X, none()), "{comment}");
+        assert_eq!(diffuse(&format!("mtllib red.mtl green.mtl{comment}")), (Vec3::X, none()), "{comment}");
+        assert_eq!(diffuse(&format!("mtllib green.mtl red.mtl{comment}")), (Vec3::Y, none()), "{comment}");
+    }
+    assert_eq!(diffuse("mtllib red # one.mtl"), (Vec3::X, none()));
+    assert_eq!(diffuse("mtllib red.mtl\nmtllib green.mtl"), (Vec3::X, none()));
+    assert_eq!(diffuse("mtllib green.mtl \\\n red.mtl"), (Vec3::Y, none()));
+    let (colour, warning) = diffuse("mtllib gone.mtl green.mtl red.mtl");
+    assert_eq!(colour, Vec3::Y);
+    assert_eq!(warning, "1 material libraries not found (first: gone.mtl at line 1)");
+    assert!(
+        diffuse("mtllib my library.mtl")
+            .1
+            .starts_with("1 material libraries not found (first: my library.mtl at")
+    );
+}
+
+#[test]
 fn no_obj_at_all_gives_no_faces() {
     for bytes in [&b""[..], b"\n", b"hello\nworld", &[0; 100], b"\xFF\xFE", b"\xFF", b"\\"] {
         let (mesh, _) = read_obj(bytes);
@@ -174,7 +281,23 @@ fn the_reader_of_paths_says_what_is_wrong() {
         message
     };
     assert!(message("empty.obj", b"").contains("empty"));
-    assert!(message("points.obj", b"v 1 2 3\n").contains("no faces in 1 vertices: is it an OBJ?"));
+    assert!(message("points.obj", b"v 1 2 3\n").contains("a point cloud: 1 vertices and no faces"));
+    assert!(
+        message("lines.obj", b"v 1 2 3\nv 0 0\nl 1 2").contains("no faces in 2 vertices (1 points, lines")
+    );
+    let nan = message("nan.obj", b"v 0 nan 0\nv 1 0 0\nv 1 1 1\nv 0 inf 1\nf 1 2 3\nf 1 2 3 4\n");
+    assert!(nan.contains("no triangle of 3 has three finite corners (2 vertices with a NaN"), "{nan}");
+    assert!(
+        message("nan.ply", &crate::ply::ascii("0 0 nan\n1 0 0\n0 1 0\n3 0 1 2\n"))
+            .contains("(first at line 10)")
+    );
+    let points = String::from_utf8(crate::ply::ascii("0 0 0\n1 0 0\n0 1 0\n")).unwrap();
+    let no_faces = points.replace("face 1", "face 0");
+    let no_element =
+        points.split("element face").next().unwrap().to_owned() + "end_header\n0 0 0\n1 0 0\n0 1 0\n";
+    for points in [no_faces, no_element] {
+        assert!(message("points.ply", points.as_bytes()).contains("a point cloud: 3 vertices"), "{points}");
+    }
     assert!(
         message("bad.obj", b"v 1 2 3\nf 1 2 3\n")
             .contains("1 faces skipped: no such vertex (first at line 2)")

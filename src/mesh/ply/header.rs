@@ -1,7 +1,13 @@
 //! The text at the start of a PLY file: which elements follow, and how their numbers are written.
+//!
+//! Its first line tells how lines end, here and in an ascii body: with LF (a CR before it is a
+//! blank), LF CR, or CR. In a binary file the body starts right behind the last line's end,
+//! whatever bytes it starts with. Letters may be capital.
 
 use super::PlyError;
 use crate::format::excerpt;
+use crate::mesh::lines::without_mark;
+use memchr::memchr;
 
 /// A header beyond this is none.
 const MAX_HEADER: usize = 1 << 20;
@@ -80,12 +86,53 @@ impl Element {
     }
 }
 
+/// What ends a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LineEnd {
+    /// A line feed; a carriage return before it is a blank.
+    Feed,
+    /// A line feed, and a carriage return behind it where there is one.
+    FeedReturn,
+    Return,
+}
+
+impl LineEnd {
+    fn of_first_line(bytes: &[u8]) -> LineEnd {
+        match bytes.iter().position(|&byte| byte == b'\n' || byte == b'\r') {
+            Some(end) if bytes[end..].starts_with(b"\n\r") => LineEnd::FeedReturn,
+            Some(end) if bytes[end] == b'\r' && !bytes[end..].starts_with(b"\r\n") => LineEnd::Return,
+            _ => LineEnd::Feed,
+        }
+    }
+
+    /// The first line of `bytes`, and how many bytes it takes with its end.
+    #[inline]
+    pub fn line(self, bytes: &[u8]) -> (&[u8], usize) {
+        let end = if self == LineEnd::Return { b'\r' } else { b'\n' };
+        let Some(length) = memchr(end, bytes) else { return (bytes, bytes.len()) };
+        let two = self == LineEnd::FeedReturn && bytes[length..].starts_with(b"\n\r");
+        (&bytes[..length], length + if two { 2 } else { 1 })
+    }
+}
+
+/// Whether a file is a PLY by its first line, which may have a byte order mark before it and blanks
+/// behind.
+pub fn is_ply(bytes: &[u8]) -> bool {
+    let bytes = without_mark(bytes);
+    let Some((word, rest)) = bytes.split_at_checked(3) else { return false };
+    let behind = rest.iter().find(|byte| !matches!(byte, b' ' | b'\t'));
+    word.eq_ignore_ascii_case(b"ply") && matches!(behind, Some(b'\n' | b'\r'))
+}
+
 #[derive(Debug)]
 pub struct Header {
     pub encoding: Encoding,
     pub elements: Vec<Element>,
     /// Where the first element starts.
     pub body: usize,
+    /// The header's lines, and what ends these and those of an ascii body.
+    pub lines: usize,
+    pub line_end: LineEnd,
 }
 
 impl Header {
@@ -93,14 +140,13 @@ impl Header {
         let window = &bytes[..bytes.len().min(MAX_HEADER)];
         let mut encoding = None;
         let mut elements: Vec<Element> = Vec::new();
-        let mut at = 0;
+        let mut at = bytes.len() - without_mark(bytes).len();
+        let line_end = LineEnd::of_first_line(window);
         let mut number = 0;
         while at < window.len() {
-            let rest = &window[at..];
-            let length = rest.iter().position(|&byte| byte == b'\n' || byte == b'\r').unwrap_or(rest.len());
-            let text = String::from_utf8_lossy(&rest[..length]);
-            // "\r\n" is one line end; but behind a lone '\r' a binary body may start with '\n', which no writer is known to do.
-            at += length + if rest[length..].starts_with(b"\r\n") { 2 } else { 1 };
+            let (line, length) = line_end.line(&window[at..]);
+            let text = String::from_utf8_lossy(line).trim().to_ascii_lowercase();
+            at += length;
             number += 1;
             let error = |what: &str| PlyError::Header {
                 line: number,
@@ -139,7 +185,7 @@ impl Header {
                 }
                 ["end_header", ..] => {
                     let encoding = encoding.ok_or_else(|| error("no `format` line before"))?;
-                    return Ok(Header { encoding, elements, body: at.min(bytes.len()) });
+                    return Ok(Header { encoding, elements, body: at, lines: number, line_end });
                 }
                 _ => return Err(error("not a header line")),
             }

@@ -1,28 +1,65 @@
 //! The numbers behind a PLY header, one after the other, with every length checked before it is believed.
+//!
+//! In an ascii file a line is an element: what it holds beyond the element's properties is passed
+//! over, and what it lacks is an error. Empty lines, and those that begin with `comment` or
+//! `obj_info`, are none.
 
-use super::PlyError;
-use super::header::{Element, Encoding, Header, Property, Type};
-use crate::mesh::number;
+use super::header::{Element, Encoding, Header, LineEnd, Property, Type};
+use super::{Place, PlyError};
+use crate::mesh::{Kind, Warnings, number};
 
 /// A place in the body of a file.
+#[derive(Clone)]
 pub struct Values<'a> {
     bytes: &'a [u8],
     at: usize,
     encoding: Encoding,
+    line_end: LineEnd,
+    /// Of an ascii file: the number of the line that is being read, and what is left of it.
+    line: u64,
+    words: &'a [u8],
 }
 
 impl<'a> Values<'a> {
     pub fn new(bytes: &'a [u8], header: &Header) -> Values<'a> {
-        Values { bytes, at: header.body, encoding: header.encoding }
+        let Header { encoding, body, lines, line_end, .. } = *header;
+        Values { bytes, at: body, encoding, line_end, line: lines as u64, words: &[] }
     }
 
-    pub fn position(&self) -> usize {
-        self.at
+    /// Goes to the next element: in an ascii file, to the next line that holds one.
+    #[inline]
+    pub fn begin(&mut self) {
+        if self.encoding != Encoding::Ascii {
+            return;
+        }
+        loop {
+            let rest = self.bytes.get(self.at..).unwrap_or(&[]);
+            let (line, length) = self.line_end.line(rest);
+            self.at += length;
+            self.line += u64::from(!rest.is_empty());
+            self.words = line;
+            let first = self.word();
+            if rest.is_empty() || !matches!(first, b"" | b"comment" | b"obj_info") {
+                self.words = line;
+                return;
+            }
+        }
     }
 
-    /// Goes to where [`Self::position`] once was.
-    pub fn jump(&mut self, position: usize) {
-        self.at = position;
+    /// Counts a trouble with the element that is being read: at its line, or its number where there
+    /// are no lines.
+    pub fn warn(&self, warnings: &mut Warnings, kind: Kind, unit: &'static str, index: u64) {
+        match self.encoding {
+            Encoding::Ascii => warnings.add(kind, self.line),
+            _ => warnings.add_at(kind, unit, index + 1, ""),
+        }
+    }
+
+    fn place(&self) -> Place {
+        match self.encoding {
+            Encoding::Ascii => Place::Line(self.line),
+            _ => Place::Offset(self.at),
+        }
     }
 
     fn left(&self) -> usize {
@@ -59,6 +96,7 @@ impl<'a> Values<'a> {
             return Ok(());
         }
         for index in 0..element.count {
+            self.begin();
             for property in &element.properties {
                 self.skip_property(element, index, property)?;
             }
@@ -116,8 +154,11 @@ impl<'a> Values<'a> {
     ) -> Result<(), PlyError> {
         let kind = property.list.unwrap_or(Type::U8);
         let count = self.length(element, index, kind)?;
-        let least = if self.encoding == Encoding::Ascii { 1 } else { property.value.bytes() };
-        if count.saturating_mul(least) > self.left() {
+        let (least, left) = match self.encoding {
+            Encoding::Ascii => (1, self.words.len()),
+            _ => (property.value.bytes(), self.left()),
+        };
+        if count.saturating_mul(least) > left {
             return Err(self.cut_off(element, index));
         }
         list.reserve(count);
@@ -128,10 +169,10 @@ impl<'a> Values<'a> {
     }
 
     fn length(&mut self, element: &Element, index: u64, kind: Type) -> Result<usize, PlyError> {
-        let start = self.at;
+        let place = self.place();
         let length = self.whole(element, index, kind)?;
         usize::try_from(length).map_err(|_| PlyError::Value {
-            offset: start,
+            place,
             element: element.name.clone(),
             index,
             expected: "a list's length",
@@ -141,7 +182,7 @@ impl<'a> Values<'a> {
 
     /// A whole number, of whatever type it was stored as.
     fn whole(&mut self, element: &Element, index: u64, kind: Type) -> Result<i64, PlyError> {
-        let start = self.at;
+        let place = self.place();
         let value = if self.encoding == Encoding::Ascii {
             let word = self.word();
             let text = std::str::from_utf8(word).unwrap_or("");
@@ -157,7 +198,7 @@ impl<'a> Values<'a> {
             return Ok(value as i64);
         }
         Err(PlyError::Value {
-            offset: start,
+            place,
             element: element.name.clone(),
             index,
             expected: "a whole number",
@@ -191,14 +232,15 @@ impl<'a> Values<'a> {
         })
     }
 
-    /// The next ascii word; empty at the end of the file.
+    /// The next word of the line; empty at its end.
     #[inline]
     fn word(&mut self) -> &'a [u8] {
-        let rest = self.bytes.get(self.at..).unwrap_or(&[]);
-        let start = rest.iter().position(|&byte| byte > b' ').unwrap_or(rest.len());
-        let length = rest[start..].iter().position(|&byte| byte <= b' ').unwrap_or(rest.len() - start);
-        self.at += start + length;
-        &rest[start..start + length]
+        let line = self.words;
+        let start = line.iter().position(|&byte| byte > b' ').unwrap_or(line.len());
+        let line = &line[start..];
+        let length = line.iter().position(|&byte| byte <= b' ').unwrap_or(line.len());
+        self.words = &line[length..];
+        &line[..length]
     }
 
     fn unexpected(&self, element: &Element, index: u64, expected: &'static str, found: &[u8]) -> PlyError {
@@ -206,10 +248,14 @@ impl<'a> Values<'a> {
             return self.cut_off(element, index);
         }
         let found = String::from_utf8_lossy(&found[..found.len().min(40)]).into_owned();
-        PlyError::Value { offset: self.at, element: element.name.clone(), index, expected, found }
+        PlyError::Value { place: self.place(), element: element.name.clone(), index, expected, found }
     }
 
     fn cut_off(&self, element: &Element, index: u64) -> PlyError {
-        PlyError::CutOff { offset: self.at, element: element.name.clone(), index, count: element.count }
+        let (place, element, count) = (self.place(), element.name.clone(), element.count);
+        if self.encoding == Encoding::Ascii && self.at < self.bytes.len() {
+            return PlyError::TooFewValues { place, element, index };
+        }
+        PlyError::CutOff { place, element, index, count }
     }
 }
