@@ -27,6 +27,8 @@ pub enum PlyError {
     NoEndOfHeader(usize),
     #[error("the PLY header declares no vertex element with x and y")]
     NoVertices,
+    #[error("the PLY header declares faces, but no list `vertex_indices` or `vertex_index` of theirs")]
+    NoIndices,
     #[error(
         "offset {offset}: {count} `{element}` elements declared, but only {left} bytes follow: the file is cut off"
     )]
@@ -66,6 +68,10 @@ impl fmt::Display for Place {
 /// When the header is not one, or declares more than the file holds.
 pub fn parse(bytes: &[u8], options: &Options) -> Result<(Mesh, Warnings), PlyError> {
     let header = Header::parse(bytes)?;
+    let has_faces = |element: &Element| element.name == "face" && element.count > 0;
+    if header.elements.iter().any(has_faces) && !header.elements.iter().any(is_faces) {
+        return Err(PlyError::NoIndices);
+    }
     let mut warnings = Warnings::default();
     let mut vertices = None;
     // Faces may come first, so positions are read in a first walk and faces in a second.

@@ -109,6 +109,7 @@ fn a_header_cannot_ask_for_memory_or_time() {
             .contains("x and y")
     );
     assert!(message("ply\nformat ascii 1.0\nelement face 0\nend_header\n").contains("no vertex"));
+    assert!(message(&HEADER.replace("vertex_indices", "corners")).contains("no list `vertex_indices`"));
     let word = message(&header("1").replace("1 2 3", "1 b 3"));
     assert!(word.contains("line 8") && word.contains("found `b`"), "{word}");
 }
