@@ -200,9 +200,11 @@ fn in_ascii_a_line_is_an_element() {
     );
     assert!(message("0 0 0\n1 0 0\n0 1 0\n3 0 1\n2\n").starts_with(&format!("line 13: {short} `face` 0")));
     assert!(message("0 0 0\n1 0 0\n0 1 0\n3\n0 1 2\n").starts_with(&format!("line 13: {short} `face` 0")));
-    let two_in_one = message("0 0 0 1 0 0\n0 1 0\n3 0 1 2\n");
-    assert_eq!(two_in_one, "line 12: the file ends inside `face` 0 of 1");
-    assert!(message("0 0 0\n1 0 0\n0 1 0\n").contains("the file ends inside `face` 0"));
+    for too_few in ["0 0 0 1 0 0\n0 1 0\n3 0 1 2\n", "0 0 0\n1 0 0\n0 1 0\n"] {
+        assert!(message(too_few).ends_with("only 0 bytes follow: the file is cut off"), "{too_few}");
+    }
+    let cut = message("0 0 0\n1 0 0\n0 1 0\n  3 0 1");
+    assert_eq!(cut, "line 13: the file ends inside `face` 0 of 1");
 }
 
 #[test]
