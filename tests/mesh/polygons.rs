@@ -305,7 +305,7 @@ fn convex_polygons_are_fans_from_the_first_corner() {
 
 #[test]
 fn combs_of_any_size() {
-    for teeth in [1, 3, 300, 2_500] {
+    for teeth in [1, 3, 300, 2_500, 25_000] {
         let n = f64::from(teeth);
         let mut comb: Vec<(f64, f64)> = (0..teeth)
             .flat_map(|i| {

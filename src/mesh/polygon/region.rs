@@ -17,6 +17,14 @@ pub const SMALLEST: f64 = spade::MIN_ALLOWED_VALUE;
 /// Edges may be moved onto corners so often, per edge; what needs more is no rounding.
 const MOVES_PER_EDGE: usize = 4;
 
+/// Chains of more corners are stretched to be about as high as wide: spade finds its way by angles
+/// round the middle, which are all alike in what is long and thin. Smaller ones get better triangles
+/// as they are.
+const LARGE: usize = 1_000;
+
+/// No stretch beyond this, so that numbers stay in spade's range.
+const MOST_STRETCHED: f64 = (1 << 24) as f64;
+
 type Faces = ConstrainedDelaunayTriangulation<Place, (), i32>;
 
 /// Buffers that are kept from polygon to polygon.
@@ -67,7 +75,9 @@ impl Region {
         rounding: [f64; 2],
         triangles: &mut Vec<u32>,
     ) -> bool {
-        let places = self.places(points, names);
+        let stretch = stretch(points);
+        let places = self.places(points, names, stretch);
+        let rounding = [rounding[0] * stretch[0], rounding[1] * stretch[1]];
         if places.len() < 3 {
             return true;
         }
@@ -77,7 +87,7 @@ impl Region {
     }
 
     /// The different points, sorted; numbers each corner by its place, and names each place.
-    fn places(&mut self, points: &[[f64; 2]], names: &[u32]) -> Vec<Place> {
+    fn places(&mut self, points: &[[f64; 2]], names: &[u32], stretch: [f64; 2]) -> Vec<Place> {
         self.order.clear();
         self.order.extend(0..points.len() as u32);
         self.order.sort_unstable_by(|&a, &b| {
@@ -90,8 +100,10 @@ impl Region {
         let mut places: Vec<Place> = Vec::with_capacity(points.len());
         for &corner in &self.order {
             let corner = corner as usize;
-            if places.last().is_none_or(|place| place.0 != points[corner]) {
-                places.push(Place(points[corner]));
+            let [x, y] = points[corner];
+            let place = [x * stretch[0], y * stretch[1]];
+            if places.last().is_none_or(|last| last.0 != place) {
+                places.push(Place(place));
                 self.names.push(names[corner]);
             }
             self.numbers[corner] = places.len() as u32 - 1;
@@ -133,6 +145,27 @@ impl Region {
             triangles.extend(triangle);
         }
         true
+    }
+}
+
+/// By which powers of two to stretch a large chain. They round nothing, so what is on one line stays
+/// on it.
+fn stretch(points: &[[f64; 2]]) -> [f64; 2] {
+    let width = |axis: usize| {
+        let values = points.iter().map(|point| point[axis]);
+        values.clone().fold(f64::MIN, f64::max) - values.fold(f64::MAX, f64::min)
+    };
+    let ratio = if points.len() < LARGE { 1.0 } else { width(0) / width(1) };
+    let ratio = ratio.clamp(1.0 / MOST_STRETCHED, MOST_STRETCHED);
+    // The bits of the exponent alone are the power of two that is not above.
+    let power = |ratio: f64| f64::from_bits(ratio.to_bits() & f64::INFINITY.to_bits());
+    if ratio > 1.0 {
+        [1.0, power(ratio)]
+    } else if ratio < 1.0 {
+        [power(1.0 / ratio), 1.0]
+    } else {
+        // As wide as high, or a single point.
+        [1.0, 1.0]
     }
 }
 
