@@ -54,7 +54,7 @@ fn measure(name: &str, path: &Path) -> Result<(), Box<dyn Error>> {
     let (triangles, _) = scene.triangles();
     let scenery = Scenery::new(
         &mesh,
-        &triangles,
+        triangles,
         &mut scene.intersector()?,
         &Wishes::default(),
         [job.width, job.height],

@@ -12,6 +12,8 @@
 #[cfg(feature = "embree")]
 pub mod ao;
 pub mod camera;
+#[cfg(all(test, feature = "embree"))]
+mod everywhere;
 #[cfg(feature = "embree")]
 pub mod film;
 #[cfg(feature = "embree")]
@@ -21,6 +23,7 @@ pub mod framing;
 pub mod job;
 #[cfg(feature = "embree")]
 pub mod lights;
+pub mod meeting;
 #[cfg(feature = "embree")]
 pub mod pair;
 #[cfg(feature = "embree")]
@@ -34,6 +37,7 @@ pub mod sampler;
 pub mod scenery;
 #[cfg(feature = "embree")]
 pub mod shadow;
+pub mod shapes;
 #[cfg(feature = "embree")]
 pub mod summary;
 #[cfg(feature = "embree")]

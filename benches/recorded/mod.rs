@@ -30,7 +30,7 @@ impl Recording {
     pub fn new(mesh: &Mesh, size: [u32; 2], wishes: &Wishes) -> Result<Recording, Box<dyn Error>> {
         let scene = Scene::new(mesh, &Settings::default())?;
         let (triangles, _) = scene.triangles();
-        let scenery = Scenery::new(mesh, &triangles, &mut scene.intersector()?, wishes, size)?;
+        let scenery = Scenery::new(mesh, triangles, &mut scene.intersector()?, wishes, size)?;
         let folder = tempfile::tempdir()?;
         let [bvh_path, rays_path] = ["built.bvh", "casts.rays"].map(|name| folder.path().join(name));
         let built = scene.tree(TreeSource::Live)?;

@@ -8,7 +8,9 @@ use std::fmt;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Isa {
     Sse2,
-    /// Gives the same tree and the same results on every x86-64 CPU: golden files are made with it.
+    /// Gives the same tree on every x86-64 CPU, and the same answers but for their last bits
+    /// (`rcpps` and `rsqrtps` are approximations that each maker does otherwise): golden files
+    /// are made with it.
     Sse42,
     Avx,
     Avx2,

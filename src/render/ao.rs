@@ -5,7 +5,6 @@ use crate::geometry::{Ray, Vec3};
 use crate::render::path::camera_hits;
 use crate::render::queries::{MAX_PACKET, RayQueries, query};
 use crate::render::scenery::Scenery;
-use crate::render::surface::Surface;
 use crate::render::tiles::{PixelSample, first_dimension};
 
 /// Free share of the hemisphere at each sample, cosine-weighted, by `rays` rays; `radiance` has one element a sample.
@@ -24,7 +23,7 @@ pub fn trace<Q: RayQueries>(
         radiance[index] = Vec3::ZERO;
         match hit {
             None => radiance[index] = Vec3::ONE,
-            Some(hit) => surfaces.push((index, Surface::new(&ray, hit))),
+            Some(met) => surfaces.push((index, scenery.surface(&ray, met))),
         }
     }
     let (mut asked, mut occluded) = (Vec::with_capacity(MAX_PACKET), [false; MAX_PACKET]);

@@ -1,6 +1,6 @@
 //! A pinhole camera: where it stands ([`View`]) and which ray belongs to a point of the image ([`Camera`]).
 
-use crate::geometry::{DVec3, Ray, Vec3};
+use crate::geometry::{Aabb, DVec3, Ray, Vec3};
 use glam::DMat3;
 use thiserror::Error;
 
@@ -62,7 +62,14 @@ pub struct Camera {
     down: Vec3,
     width: f32,
     height: f32,
+    /// How far from the eye rays start.
+    start: f64,
 }
+
+/// From farther away than this many diagonals of a scene, rays start nearer.
+const FAR: f64 = 64.0;
+/// They start this many diagonals before its centre, so that it may also move.
+const NEAR: f64 = 8.0;
 
 impl Camera {
     /// # Errors
@@ -92,7 +99,18 @@ impl Camera {
             down: (forward.cross(side) * half_height).as_vec3(),
             width: width as f32,
             height: height as f32,
+            start: 0.0,
         })
+    }
+
+    /// The same camera for a scene inside `bounds`. Where the eye is so far away that single
+    /// precision cannot tell the scene's surfaces apart along a ray, rays start in front of the
+    /// scene instead, on the same lines.
+    pub fn facing(self, bounds: &Aabb) -> Camera {
+        let distance = (bounds.center().as_dvec3() - self.eye.as_dvec3()).length();
+        let diagonal = bounds.extent().as_dvec3().length();
+        let start = if distance > FAR * diagonal { distance - NEAR * diagonal } else { 0.0 };
+        Camera { start, ..self }
     }
 
     /// The ray through the point (`x`, `y`) of the image, in pixels from its upper left corner. Its direction has length 1.
@@ -101,7 +119,12 @@ impl Camera {
         let across = 2.0 * x / self.width - 1.0;
         let down = 2.0 * y / self.height - 1.0;
         let direction = (self.forward + across * self.right + down * self.down).normalize();
-        Ray { origin: self.eye, tnear: 0.0, direction, tfar: f32::INFINITY }
+        let origin = if self.start > 0.0 {
+            (self.eye.as_dvec3() + direction.as_dvec3() * self.start).as_vec3()
+        } else {
+            self.eye
+        };
+        Ray { origin, tnear: 0.0, direction, tfar: f32::INFINITY }
     }
 
     /// The view of a pinhole camera whose rays through known points of its image (in pixels) are given; `None` when they have no common
@@ -228,6 +251,22 @@ mod tests {
         moved[3].1.origin.x += 1.0;
         assert_eq!(Camera::fitted(&moved, 320, 200), None, "no common origin");
         assert_eq!(Camera::fitted(&samples[..2], 320, 200), None, "they do not span the image");
+    }
+
+    /// A point of the scene stays in its pixel; and nothing of the scene is skipped.
+    #[test]
+    fn rays_of_a_far_eye_start_in_front_of_the_scene() {
+        let bounds = Aabb { lower: Vec3::splat(-1.0), upper: Vec3::ONE };
+        let far = View { eye: Vec3::new(0.0, 0.0, 1e6), fov_degrees: 0.01, ..view() };
+        let camera = Camera::new(&far, 100, 100).unwrap();
+        assert_eq!(Camera::new(&view(), 100, 100).unwrap().facing(&bounds).ray(3.0, 4.0).origin.z, 5.0);
+        for (x, y) in [(50.0, 50.0), (49.5, 50.5), (0.0, 100.0)] {
+            let (ray, near) = (camera.ray(x, y), camera.facing(&bounds).ray(x, y));
+            assert_eq!(ray.direction, near.direction);
+            let from_eye = near.origin.as_dvec3() - ray.origin.as_dvec3();
+            assert!(from_eye.cross(ray.direction.as_dvec3()).length() < 1e-4);
+            assert!((20.0..30.0).contains(&near.origin.z), "{near:?}");
+        }
     }
 
     #[test]

@@ -82,8 +82,7 @@ impl Sequence<'_> {
         seconds.build = clock.lap();
         let (triangles, _) = scene.triangles();
         let size = [self.job.width, self.job.height];
-        let scenery = Scenery::new(&mesh, &triangles, &mut scene.intersector()?, &self.wishes, size)?;
-        drop(triangles);
+        let mut scenery = Scenery::new(&mesh, triangles, &mut scene.intersector()?, &self.wishes, size)?;
         (summary.camera, summary.fov_degrees) = (camera_option(&scenery.view), scenery.view.fov_degrees);
         summary.lights = lights_name(&scenery.lights);
         seconds.frame = clock.lap();
@@ -98,6 +97,7 @@ impl Sequence<'_> {
                 heard.add(file, &warnings, &mut summary.warnings);
                 seconds = Seconds { read: clock.lap(), ..Seconds::default() };
                 scene.update(&vertices)?;
+                scenery.shapes.replace(scene.triangles().0);
                 seconds.build = clock.lap();
             }
             let (line, rendered) = self.record_frame(number, file, &scene, &scenery, seconds, &progress)?;

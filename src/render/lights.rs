@@ -4,7 +4,7 @@
 //! Emitters, sun and panel are sampled with shadow rays; the sky is found by bounces that leave the scene. Only emitters can
 //! also be met by a bounce: the path integrator weighs the two ways against each other ([`Lights::emitter_density`]).
 
-use crate::geometry::{Triangle, Vec3};
+use crate::geometry::{DVec3, Triangle, Vec3};
 use crate::mesh::Mesh;
 use crate::render::film::luminance;
 use crate::render::surface::Appearance;
@@ -20,6 +20,13 @@ const GROUND: Vec3 = Vec3::new(0.30, 0.28, 0.25);
 const PANEL_RADIANCE: Vec3 = Vec3::new(12.0, 11.4, 10.2);
 /// Share of shadow rays that go to the sun where there is also a panel: it shines in only through windows.
 const SUN_SHARE_INDOORS: f32 = 0.125;
+
+/// The direction of length 1 from `from` to `to`, and how far that is.
+fn towards(to: DVec3, from: Vec3) -> (Vec3, f32) {
+    let way = to - from.as_dvec3();
+    let distance = way.length();
+    ((way / distance).as_vec3(), distance as f32)
+}
 
 /// A rectangle that shines to the side of `edges[0]` × `edges[1]`. Rays do not meet it: it is no part of the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -134,13 +141,14 @@ impl Lights {
             let wanted = f64::from(choice) * power;
             let index = self.cumulative.partition_point(|&c| c <= wanted).min(self.emitters.len() - 1);
             let Emitter { triangle: Triangle([a, b, c]), emission } = self.emitters[index];
-            // Uniform over the triangle (Turk 1990).
+            let [a, b, c] = [a, b, c].map(|vertex| vertex.as_dvec3());
+            let (u, v) = (f64::from(u), f64::from(v));
+            // Uniform over the triangle (Turk 1990). In double precision: far from the origin, single
+            // precision would move the point off the triangle.
             let root = u.sqrt();
-            let on_light = a * (1.0 - root) + b * (root * (1.0 - v)) + c * (root * v);
-            let to_light = on_light - point;
-            let distance = to_light.length();
-            let direction = to_light / distance;
-            let normal = (b - a).cross(c - a).normalize_or_zero();
+            let on_light = a + (b - a) * (root * (1.0 - v)) + (c - a) * (root * v);
+            let (direction, distance) = towards(on_light, point);
+            let normal = (b - a).cross(c - a).normalize_or_zero().as_vec3();
             let cosine = normal.dot(direction).abs();
             let density = self.emitter_density(emission, distance, cosine);
             let usable = distance > 0.0 && density.is_finite() && density > 0.0;
@@ -174,9 +182,9 @@ impl Lights {
             });
         }
         let panel = self.panel?;
-        let to_light = panel.corner + u * panel.edges[0] + v * panel.edges[1] - point;
-        let distance = to_light.length();
-        let direction = to_light / distance;
+        let [across, along] = panel.edges.map(|edge| edge.as_dvec3());
+        let on_light = panel.corner.as_dvec3() + across * f64::from(u) + along * f64::from(v);
+        let (direction, distance) = towards(on_light, point);
         let scaled_normal = panel.edges[0].cross(panel.edges[1]);
         let area = scaled_normal.length();
         let cosine = -direction.dot(scaled_normal) / area;

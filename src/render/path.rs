@@ -7,11 +7,12 @@
 //! A packet's paths walk in step, so that their camera rays and their first shadow rays can be asked together; paths of
 //! one go the same way, query by query.
 
-use crate::embree::{Hit, Query};
+use crate::embree::Query;
 use crate::format::rays::Purpose;
 use crate::geometry::{Ray, Vec3};
 use crate::render::queries::{MAX_PACKET, RayQueries, query};
 use crate::render::scenery::Scenery;
+use crate::render::shapes::Met;
 use crate::render::surface::Surface;
 use crate::render::tiles::{PixelSample, first_dimension};
 use std::f32::consts::PI;
@@ -24,7 +25,8 @@ pub(super) const BEFORE_LIGHT: f32 = 1.0 - 1.0 / 8192.0;
 struct Walk {
     alive: bool,
     ray: Ray,
-    hit: Option<Hit>,
+    /// What the ray met, once it has arrived; no matter when the walk has ended.
+    surface: Option<Surface>,
     throughput: Vec3,
     /// Density per solid angle with which the ray's direction was chosen; infinite for camera and mirror rays.
     density: f32,
@@ -39,10 +41,13 @@ pub fn trace<Q: RayQueries>(
     radiance: &mut [Vec3],
 ) {
     let count = samples.len().min(MAX_PACKET);
-    let mut walks = camera_walks(scenery, samples, queries);
+    let walk =
+        Walk { alive: true, ray: UNASKED.ray, surface: None, throughput: Vec3::ONE, density: f32::INFINITY };
+    let (mut walks, mut hits) = ([walk; MAX_PACKET], [None; MAX_PACKET]);
+    camera_hits(scenery, samples, queries, &mut hits, |index, ray| walks[index].ray = ray);
     let walks = &mut walks[..count];
-    for (walk, radiance) in walks.iter_mut().zip(radiance.iter_mut()) {
-        *radiance = arrive(scenery, walk);
+    for ((walk, met), radiance) in walks.iter_mut().zip(&hits).zip(radiance.iter_mut()) {
+        *radiance = arrive(scenery, walk, met.as_ref());
     }
     for depth in 1..=max_depth {
         if !walks.iter().any(|walk| walk.alive) {
@@ -53,9 +58,8 @@ pub fn trace<Q: RayQueries>(
         let mut brings = [(0, Vec3::ZERO); MAX_PACKET];
         let mut asked = 0;
         for (index, walk) in walks.iter_mut().enumerate() {
-            let Some(hit) = walk.hit.filter(|_| walk.alive) else { continue };
-            let surface = Surface::new(&walk.ray, &hit);
-            if let Some((ray, light)) = light_ray(scenery, &samples[index], walk, &surface, &hit, depth) {
+            let Some(surface) = walk.surface.filter(|_| walk.alive) else { continue };
+            if let Some((ray, light)) = light_ray(scenery, &samples[index], walk, &surface, depth) {
                 shadows[asked] = query(ray, samples[index].path, depth, Purpose::Shadow);
                 brings[asked] = (index, light);
                 asked += 1;
@@ -76,8 +80,8 @@ pub fn trace<Q: RayQueries>(
         for (index, walk) in walks.iter_mut().enumerate().filter(|(_, walk)| walk.alive) {
             let purpose = bounce(scenery, &samples[index], walk, depth);
             if walk.alive {
-                walk.hit = queries.closest_hit(&query(walk.ray, samples[index].path, depth, purpose));
-                radiance[index] += arrive(scenery, walk);
+                let met = queries.closest_hit(&query(walk.ray, samples[index].path, depth, purpose));
+                radiance[index] += arrive(scenery, walk, met.as_ref());
             }
         }
     }
@@ -98,29 +102,12 @@ const UNASKED: Query = Query {
     coherent: false,
 };
 
-/// Asks the camera rays, together when there are several.
-fn camera_walks<Q: RayQueries>(
-    scenery: &Scenery,
-    samples: &[PixelSample],
-    queries: &mut Q,
-) -> [Walk; MAX_PACKET] {
-    let ray = UNASKED.ray;
-    let mut walks =
-        [Walk { alive: true, ray, hit: None, throughput: Vec3::ONE, density: f32::INFINITY }; MAX_PACKET];
-    let mut hits = [None; MAX_PACKET];
-    camera_hits(scenery, samples, queries, &mut hits, |index, ray| walks[index].ray = ray);
-    for (walk, hit) in walks.iter_mut().zip(hits) {
-        walk.hit = hit;
-    }
-    walks
-}
-
 /// The camera rays of a group and what they hit: one packet, or a single query.
 pub(super) fn camera_hits<Q: RayQueries>(
     scenery: &Scenery,
     samples: &[PixelSample],
     queries: &mut Q,
-    hits: &mut [Option<Hit>; MAX_PACKET],
+    hits: &mut [Option<Met>; MAX_PACKET],
     mut keep: impl FnMut(usize, Ray),
 ) {
     let mut asked = [UNASKED; MAX_PACKET];
@@ -137,14 +124,16 @@ pub(super) fn camera_hits<Q: RayQueries>(
     }
 }
 
-/// Light that the ray of a walk brings by itself: the background's, or what the surface that it hit emits. Ends the
-/// walk where nothing scatters.
-fn arrive(scenery: &Scenery, walk: &mut Walk) -> Vec3 {
-    let Some(hit) = walk.hit else {
+/// Takes a walk to what its ray met. Returns the light that the ray brings by itself: the
+/// background's, or what the surface emits. Ends the walk where nothing scatters.
+fn arrive(scenery: &Scenery, walk: &mut Walk, met: Option<&Met>) -> Vec3 {
+    let Some(met) = met else {
         walk.alive = false;
         return walk.throughput * scenery.lights.background(walk.ray.direction);
     };
-    let appearance = scenery.appearance(&hit);
+    let surface = scenery.surface(&walk.ray, met);
+    walk.surface = Some(surface);
+    let appearance = scenery.appearance(surface.part);
     walk.alive = appearance.scatters();
     if appearance.emission == Vec3::ZERO {
         return Vec3::ZERO;
@@ -152,8 +141,8 @@ fn arrive(scenery: &Scenery, walk: &mut Walk) -> Vec3 {
     let mut weight = 1.0;
     if walk.density.is_finite() {
         // Directions have length 1, so t is the distance.
-        let cosine = hit.normal.normalize_or_zero().dot(walk.ray.direction).abs();
-        let by_light = scenery.lights.emitter_density(appearance.emission, hit.t, cosine);
+        let cosine = surface.normal.dot(walk.ray.direction).abs();
+        let by_light = scenery.lights.emitter_density(appearance.emission, surface.distance, cosine);
         weight = walk.density / (walk.density + by_light);
     }
     walk.throughput * appearance.emission * weight
@@ -165,10 +154,9 @@ fn light_ray(
     sample: &PixelSample,
     walk: &Walk,
     surface: &Surface,
-    hit: &Hit,
     depth: u8,
 ) -> Option<(Ray, Vec3)> {
-    let appearance = scenery.appearance(hit);
+    let appearance = scenery.appearance(surface.part);
     if appearance.diffuse == Vec3::ZERO {
         return None;
     }
@@ -196,12 +184,11 @@ fn light_ray(
 
 /// Sends a walk on from the surface that it hit.
 fn bounce(scenery: &Scenery, sample: &PixelSample, walk: &mut Walk, depth: u8) -> Purpose {
-    let Some(hit) = walk.hit else {
+    let Some(surface) = walk.surface else {
         walk.alive = false;
         return Purpose::Unknown;
     };
-    let appearance = scenery.appearance(&hit);
-    let surface = Surface::new(&walk.ray, &hit);
+    let appearance = scenery.appearance(surface.part);
     let dimension = first_dimension(depth) + 2;
     let share = appearance.specular_share;
     let is_mirror = share > 0.0 && sample.sampler.single(dimension) < share;
@@ -270,7 +257,7 @@ mod tests {
             up: Some(Vec3::Y),
             fov_degrees: Some(0.1),
         };
-        let scenery = Scenery::new(&mesh, &mesh.triangles(), &mut queries, &wishes, [1, 1]).unwrap();
+        let scenery = Scenery::new(&mesh, mesh.triangles(), &mut queries, &wishes, [1, 1]).unwrap();
         let mut pixels = Vec::new();
         let tile = crate::render::tiles::Tiles::new(&job).tile(0);
         crate::render::workers::trace_tile(&scenery, &job, &tile, &mut queries, &mut pixels);

@@ -4,7 +4,6 @@ use crate::geometry::Vec3;
 use crate::render::path::camera_hits;
 use crate::render::queries::{MAX_PACKET, RayQueries};
 use crate::render::scenery::Scenery;
-use crate::render::surface::Surface;
 use crate::render::tiles::PixelSample;
 
 /// Radiance along the samples' camera rays; `radiance` has one element a sample.
@@ -20,9 +19,9 @@ pub fn trace<Q: RayQueries>(
         let ray = scenery.camera.ray(sample.x, sample.y);
         *radiance = match hit {
             None => scenery.lights.background(ray.direction),
-            Some(hit) => {
-                let appearance = scenery.appearance(hit);
-                let facing = -Surface::new(&ray, hit).normal.dot(ray.direction);
+            Some(met) => {
+                let appearance = scenery.appearance(met.part);
+                let facing = -scenery.surface(&ray, met).normal.dot(ray.direction);
                 appearance.emission + (appearance.diffuse + appearance.specular) * facing
             }
         };

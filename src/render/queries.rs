@@ -1,9 +1,10 @@
 //! What integrators ask: the seam between them and Embree, so that tests can answer by brute force.
 
-use crate::embree::{Hit, Query};
+use crate::embree::Query;
 use crate::format::rays::{NO_PATH, Purpose};
 use crate::geometry::Ray;
 use crate::render::framing::{Seen, Sight};
+use crate::render::shapes::{Met, Shapes};
 
 /// Queries that can be asked at once.
 pub const MAX_PACKET: usize = 16;
@@ -11,13 +12,13 @@ pub const MAX_PACKET: usize = 16;
 /// Queries of one thread.
 pub trait RayQueries {
     /// The nearest hit of a ray, if any.
-    fn closest_hit(&mut self, query: &Query) -> Option<Hit>;
+    fn closest_hit(&mut self, query: &Query) -> Option<Met>;
 
     /// Whether anything lies in the interval of a ray.
     fn occluded(&mut self, query: &Query) -> bool;
 
     /// [`Self::closest_hit`] of up to 16 queries at once; `hits` has as many elements.
-    fn closest_hits(&mut self, queries: &[Query], hits: &mut [Option<Hit>]) {
+    fn closest_hits(&mut self, queries: &[Query], hits: &mut [Option<Met>]) {
         for (query, hit) in queries.iter().zip(hits) {
             *hit = self.closest_hit(query);
         }
@@ -31,10 +32,19 @@ pub trait RayQueries {
     }
 }
 
-impl<Q: RayQueries> Sight for Q {
+/// Looks around by queries.
+pub struct Looking<'a, Q> {
+    pub queries: &'a mut Q,
+    /// Of the scene that is asked.
+    pub shapes: &'a Shapes,
+}
+
+impl<Q: RayQueries> Sight for Looking<'_, Q> {
     fn first(&mut self, ray: &Ray) -> Option<Seen> {
-        let hit = self.closest_hit(&query(*ray, NO_PATH, 0, Purpose::Unknown))?;
-        Some(Seen { t: hit.t, triangle: hit.triangle, normal: hit.normal })
+        let met = self.queries.closest_hit(&query(*ray, NO_PATH, 0, Purpose::Unknown))?;
+        let (triangle, meeting) = self.shapes.meeting(ray, &met);
+        let normal = self.shapes.triangles()[triangle as usize].scaled_normal();
+        Some(Seen { t: meeting.t as f32, triangle, normal })
     }
 }
 
@@ -90,7 +100,7 @@ pub struct Counting<'a, Q> {
 }
 
 impl<Q: RayQueries> RayQueries for Counting<'_, Q> {
-    fn closest_hit(&mut self, query: &Query) -> Option<Hit> {
+    fn closest_hit(&mut self, query: &Query) -> Option<Met> {
         let hit = self.queries.closest_hit(query);
         self.tally.closest_hit[query.purpose as usize].one(hit.is_some());
         hit
@@ -102,7 +112,7 @@ impl<Q: RayQueries> RayQueries for Counting<'_, Q> {
         occluded
     }
 
-    fn closest_hits(&mut self, queries: &[Query], hits: &mut [Option<Hit>]) {
+    fn closest_hits(&mut self, queries: &[Query], hits: &mut [Option<Met>]) {
         self.queries.closest_hits(queries, hits);
         for (query, hit) in queries.iter().zip(hits) {
             self.tally.closest_hit[query.purpose as usize].one(hit.is_some());

@@ -1,14 +1,14 @@
 //! What a job looks at: camera, lights, materials. Made once, then shared by all threads.
 
-use crate::embree::Hit;
-use crate::geometry::{Triangle, Vec3};
+use crate::geometry::{Aabb, Ray, Triangle, Vec3};
 use crate::mesh::Mesh;
 use crate::render::camera::{Camera, CameraError, View};
 use crate::render::framing::lighting::sky;
 use crate::render::framing::{Axes, Framing, guess_up, main_bounds};
 use crate::render::lights::Lights;
-use crate::render::queries::RayQueries;
-use crate::render::surface::Appearance;
+use crate::render::queries::{Looking, RayQueries};
+use crate::render::shapes::{Met, Shapes};
+use crate::render::surface::{Appearance, Surface};
 
 /// Everything that integrators need beside the answers to their queries.
 #[derive(Clone, Debug)]
@@ -16,6 +16,7 @@ pub struct Scenery {
     pub view: View,
     pub camera: Camera,
     pub lights: Lights,
+    pub shapes: Shapes,
     /// One per part of the mesh.
     pub appearances: Vec<Appearance>,
     /// How far ambient occlusion looks, in world units.
@@ -61,15 +62,18 @@ impl Scenery {
     /// When the wishes make no camera.
     pub fn new<Q: RayQueries>(
         mesh: &Mesh,
-        triangles: &[Triangle],
+        triangles: Vec<Triangle>,
         queries: &mut Q,
         wishes: &Wishes,
         [width, height]: [u32; 2],
     ) -> Result<Scenery, CameraError> {
+        let shapes = Shapes::new(mesh, triangles);
+        let triangles = shapes.triangles();
         let bounds = main_bounds(triangles);
         let up = wishes.up.filter(|up| up.is_finite() && *up != Vec3::ZERO);
         let axes = up.map_or_else(|| guess_up(triangles, &bounds), Axes::with_up);
-        let mut framing = Framing::new(queries, triangles, bounds, axes);
+        let mut looking = Looking { queries, shapes: &shapes };
+        let mut framing = Framing::new(&mut looking, triangles, bounds, axes);
         let view = match wishes.eye_and_target {
             Some((eye, target)) => View {
                 eye,
@@ -79,18 +83,28 @@ impl Scenery {
             },
             None => framing.view(wishes.fov_degrees, width as f32 / height as f32),
         };
-        let camera = Camera::new(&view, width, height)?;
+        let finite = triangles.iter().filter(|triangle| triangle.is_finite());
+        let all = finite.fold(Aabb::EMPTY, |all, triangle| all.union(&triangle.bounds()));
+        let camera = Camera::new(&view, width, height)?.facing(&all);
         let appearances = Appearance::of_parts(mesh);
         let mut lights = Lights::from_emission(mesh, triangles, &appearances);
         if !lights.has_emitters() {
             lights = Lights::from_sky(sky(&axes, camera.forward), framing.panel(view.eye));
         }
-        Ok(Scenery { view, camera, lights, appearances, ao_distance: AO_SHARE * bounds.extent().length() })
+        let ao_distance = AO_SHARE * bounds.extent().length();
+        Ok(Scenery { view, camera, lights, shapes, appearances, ao_distance })
     }
 
-    /// The look of what was hit.
+    /// The look of what was met.
     #[inline]
-    pub fn appearance(&self, hit: &Hit) -> &Appearance {
-        self.appearances.get(hit.part as usize).unwrap_or(&BLACK)
+    pub fn appearance(&self, part: u32) -> &Appearance {
+        self.appearances.get(part as usize).unwrap_or(&BLACK)
+    }
+
+    /// Where a ray met what.
+    #[inline]
+    pub fn surface(&self, ray: &Ray, met: &Met) -> Surface {
+        let (number, meeting) = self.shapes.meeting(ray, met);
+        Surface::new(&meeting, &self.shapes.triangles()[number as usize], met.part)
     }
 }

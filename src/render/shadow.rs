@@ -21,15 +21,15 @@ pub fn trace<Q: RayQueries>(
     let (mut asked, mut brings) = (Vec::with_capacity(MAX_PACKET), Vec::with_capacity(MAX_PACKET));
     for (index, (sample, hit)) in samples.iter().zip(&hits).enumerate() {
         let ray = scenery.camera.ray(sample.x, sample.y);
-        let Some(hit) = hit else {
+        let Some(met) = hit else {
             radiance[index] = scenery.lights.background(ray.direction);
             continue;
         };
-        let appearance = scenery.appearance(hit);
+        let appearance = scenery.appearance(met.part);
         radiance[index] = appearance.emission;
         // What mirrors show is not computed here: they look matt.
         let reflectance = appearance.diffuse + appearance.specular;
-        let surface = Surface::new(&ray, hit);
+        let surface = scenery.surface(&ray, met);
         if let Some((direction, distance, irradiance)) = incoming(scenery, sample, &surface) {
             let ray = Ray { origin: surface.origin, tnear: 0.0, direction, tfar: distance * BEFORE_LIGHT };
             asked.push(query(ray, sample.path, 1, Purpose::Shadow));

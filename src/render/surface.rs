@@ -2,10 +2,10 @@
 //!
 //! Materials are two-sided, as the winding of scene files cannot be trusted.
 
-use crate::embree::Hit;
-use crate::geometry::{Ray, Vec3};
+use crate::geometry::{Triangle, Vec3};
 use crate::mesh::{Material, Mesh};
 use crate::render::film::luminance;
+use crate::render::meeting::Meeting;
 use std::f32::consts::TAU;
 
 /// A material as integrators use it: it never reflects more than it receives.
@@ -47,26 +47,20 @@ impl Appearance {
 /// Where a ray met a surface.
 #[derive(Clone, Copy, Debug)]
 pub struct Surface {
-    /// On the surface, as nearly as rounding allows.
-    pub point: Vec3,
+    /// Index into [`Mesh::parts`].
+    pub part: u32,
+    /// How far the ray went, in units of the length of its direction.
+    pub distance: f32,
     /// Length 1, towards the side that the ray came from.
     pub normal: Vec3,
     /// Where rays that leave on that side start: so far off the surface that they cannot meet it again.
     pub origin: Vec3,
 }
 
-/// How far off a surface rays start, relative to the largest coordinate or distance involved. Rounding of the hit's t and
-/// of the point stays well below: 2^-24 each, times the few operations of the intersection test.
-const OFFSET: f32 = 1.0 / 65_536.0;
-
 impl Surface {
-    pub fn new(ray: &Ray, hit: &Hit) -> Surface {
-        let point = ray.at(hit.t);
-        // A sliver's normal can underflow; then any direction that leads back is as good.
-        let normal = hit.normal.try_normalize().unwrap_or(-ray.direction.normalize_or_zero());
-        let normal = if normal.dot(ray.direction) > 0.0 { -normal } else { normal };
-        let size = point.abs().max_element().max(hit.t * ray.direction.abs().max_element());
-        Surface { point, normal, origin: point + normal * (size * OFFSET) }
+    pub fn new(meeting: &Meeting, triangle: &Triangle, part: u32) -> Surface {
+        let origin = meeting.origin(triangle);
+        Surface { part, distance: meeting.t as f32, normal: meeting.normal.as_vec3(), origin }
     }
 
     /// A direction on the side of the normal, with density cos/π (Malley's method, on concentric squares).
@@ -87,6 +81,7 @@ impl Surface {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Ray;
 
     fn surface() -> (Ray, Surface) {
         let ray = Ray {
@@ -95,16 +90,19 @@ mod tests {
             direction: Vec3::new(0.6, 0.0, -0.8),
             tfar: f32::INFINITY,
         };
-        let hit = Hit { t: 125.0, triangle: 0, part: 0, u: 0.0, v: 0.0, normal: Vec3::new(0.0, 0.0, -7.0) };
-        (ray, Surface::new(&ray, &hit))
+        // Its winding says the other side.
+        let triangle = Triangle([Vec3::ZERO, Vec3::Y * 100.0, Vec3::X * 100.0]);
+        (ray, Surface::new(&Meeting::of(&ray, &triangle), &triangle, 0))
     }
 
     #[test]
     fn faces_the_ray_and_starts_off_the_surface() {
         let (_, surface) = surface();
-        assert_eq!(surface.point, Vec3::new(78.0, 4.0, 0.0));
         assert_eq!(surface.normal, Vec3::Z);
-        assert!(surface.origin.z > 1e-3 && surface.origin.z < 3e-3, "{}", surface.origin);
+        // The direction is rounded: 0.6 is not quite 0.6.
+        assert!((surface.distance - 125.0).abs() < 1e-4, "{}", surface.distance);
+        assert!((surface.origin.truncate() - glam::Vec2::new(78.0, 4.0)).length() < 1e-4);
+        assert!(surface.origin.z > 1e-6 && surface.origin.z < 1e-4, "{}", surface.origin);
     }
 
     #[test]

@@ -1,11 +1,12 @@
 //! What tests of integrators stand on: answers by brute force in double precision, and scenes whose radiance is known.
 
-use crate::embree::{Hit, Query};
+use crate::embree::Query;
 use crate::geometry::{DVec3, Triangle, Vec3};
 use crate::mesh::{Faces, Material, Mesh, Part};
 use crate::render::job::Job;
 use crate::render::queries::RayQueries;
 use crate::render::scenery::{Scenery, Wishes};
+use crate::render::shapes::Met;
 use crate::render::tiles::Tiles;
 use crate::render::workers::trace_tile;
 
@@ -26,10 +27,10 @@ impl BruteForce {
         BruteForce { triangles: of_parts, asked: Vec::new() }
     }
 
-    fn nearest(&self, query: &Query) -> Option<Hit> {
+    fn nearest(&self, query: &Query) -> Option<Met> {
         let ray = query.ray;
         let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
-        let mut best: Option<Hit> = None;
+        let (mut best, mut limit) = (None, f64::from(ray.tfar));
         for (number, &(part, triangle)) in self.triangles.iter().enumerate() {
             let [a, b, c] = triangle.0.map(|v| v.as_dvec3());
             let (e1, e2): (DVec3, DVec3) = (b - a, c - a);
@@ -40,16 +41,10 @@ impl BruteForce {
             let q = s.cross(e1);
             let (v, t) = (direction.dot(q) / determinant, e2.dot(q) / determinant);
             let inside = u >= 0.0 && v >= 0.0 && u + v <= 1.0;
-            let within = t >= f64::from(ray.tnear) && t <= f64::from(best.map_or(ray.tfar, |hit| hit.t));
+            let within = t >= f64::from(ray.tnear) && t <= limit;
             if determinant != 0.0 && inside && within {
-                best = Some(Hit {
-                    t: t as f32,
-                    triangle: number as u32,
-                    part,
-                    u: u as f32,
-                    v: v as f32,
-                    normal: triangle.scaled_normal(),
-                });
+                best = Some(Met { triangle: number as u32, part });
+                limit = t;
             }
         }
         best
@@ -57,7 +52,7 @@ impl BruteForce {
 }
 
 impl RayQueries for BruteForce {
-    fn closest_hit(&mut self, query: &Query) -> Option<Hit> {
+    fn closest_hit(&mut self, query: &Query) -> Option<Met> {
         let hit = self.nearest(query);
         self.asked.push((*query, false));
         hit
@@ -112,7 +107,7 @@ pub fn image(mesh: &Mesh, job: &Job, eye: Vec3, target: Vec3) -> (Vec<Vec3>, Bru
     let mut queries = BruteForce::new(mesh);
     let wishes = Wishes { eye_and_target: Some((eye, target)), fov_degrees: Some(30.0), up: Some(Vec3::Y) };
     let scenery =
-        Scenery::new(mesh, &mesh.triangles(), &mut queries, &wishes, [job.width, job.height]).unwrap();
+        Scenery::new(mesh, mesh.triangles(), &mut queries, &wishes, [job.width, job.height]).unwrap();
     queries.asked.clear();
     let (mut all, mut pixels) = (Vec::new(), Vec::new());
     let tiles = Tiles::new(job);

@@ -8,16 +8,22 @@ use crate::render::film::Film;
 use crate::render::job::{Integrator, Job};
 use crate::render::queries::{Counting, MAX_PACKET, RayQueries, Tally};
 use crate::render::scenery::Scenery;
+use crate::render::shapes::Met;
 use crate::render::tiles::{PixelSample, Tile, Tiles};
 use crate::render::{ao, path, primary, shadow};
 use std::sync::Mutex;
 use std::sync::PoisonError;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+/// What integrators may know of an answer.
+fn met(hit: Hit) -> Met {
+    Met { triangle: hit.triangle, part: hit.part }
+}
+
 impl RayQueries for Intersector<'_> {
     #[inline]
-    fn closest_hit(&mut self, query: &Query) -> Option<Hit> {
-        Intersector::closest_hit(self, query)
+    fn closest_hit(&mut self, query: &Query) -> Option<Met> {
+        Intersector::closest_hit(self, query).map(met)
     }
 
     #[inline]
@@ -25,8 +31,15 @@ impl RayQueries for Intersector<'_> {
         Intersector::occluded(self, query)
     }
 
-    fn closest_hits(&mut self, queries: &[Query], hits: &mut [Option<Hit>]) {
-        Intersector::closest_hits(self, queries, hits);
+    fn closest_hits(&mut self, queries: &[Query], hits: &mut [Option<Met>]) {
+        let mut answers = [None; MAX_PACKET];
+        for (queries, hits) in queries.chunks(MAX_PACKET).zip(hits.chunks_mut(MAX_PACKET)) {
+            let answers = &mut answers[..queries.len()];
+            Intersector::closest_hits(self, queries, answers);
+            for (hit, answer) in hits.iter_mut().zip(answers) {
+                *hit = answer.map(met);
+            }
+        }
     }
 
     fn occluded_packet(&mut self, queries: &[Query], occluded: &mut [bool]) {

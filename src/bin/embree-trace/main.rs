@@ -366,11 +366,11 @@ fn trace_one(arguments: &Arguments, plan: Plan) -> Result<Summary, Failure> {
     summary.seconds.build = lap();
 
     let size = [job.width, job.height];
-    let scenery = Scenery::new(&mesh, &triangles, &mut scene.intersector()?, &wishes, size)?;
+    let scenery = Scenery::new(&mesh, triangles, &mut scene.intersector()?, &wishes, size)?;
     (summary.camera, summary.fov_degrees) = (camera_option(&scenery.view), scenery.view.fov_degrees);
     summary.lights = lights_name(&scenery.lights);
     summary.seconds.frame = lap();
-    drop((mesh, triangles));
+    drop(mesh);
 
     let pair = match trace {
         Trace::Pair(rays, bvh) => {
