@@ -1,6 +1,8 @@
 //! How Embree is set up: what was asked for becomes a device configuration, or an error before Embree sees it.
 
 use super::{EmbreeError, ffi};
+use crate::geometry::Aabb;
+use crate::mesh::Mesh;
 use std::ffi::CString;
 use std::fmt;
 
@@ -124,6 +126,9 @@ pub const TRI_ACCELS: [&str; 9] = [
     "qbvh8.triangle4",
 ];
 
+/// From this many times its size away, floats are too far apart for a scene and default kernels.
+const COARSE: f64 = 8192.0;
+
 /// How a scene is built and traced. The default is Embree's own.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Settings {
@@ -168,6 +173,33 @@ impl Settings {
             config.push(format!("tri_accel={name}"));
         }
         CString::new(config.join(",")).map_err(|error| EmbreeError::Setting(error.to_string()))
+    }
+
+    /// Asks for Embree's robust kernels when a mesh stands so far from the origin that the default
+    /// ones lose hits there, and nothing was asked for that robust kernels go without. Returns what
+    /// to tell the user.
+    ///
+    /// With AVX2, default kernels compute the distance of a box's side as fma(side, 1/d, -(o/d)),
+    /// whose last term is rounded: sides are off by half the distance between floats at o, and rays
+    /// slip by the rims of walls. Without AVX2 they do not, so the queries would also differ from
+    /// machine to machine.
+    pub fn suit(&mut self, mesh: &Mesh) -> Option<String> {
+        let chosen = self.robust || self.compact || self.tri_accel.is_some();
+        if chosen || self.quality == Quality::High {
+            return None;
+        }
+        let finite = mesh.vertices.iter().filter(|vertex| vertex.is_finite());
+        let bounds = finite.fold(Aabb::EMPTY, |bounds, vertex| bounds.grown(*vertex));
+        let away = f64::from(bounds.lower.abs().max(bounds.upper.abs()).max_element());
+        let size = bounds.extent().as_dvec3().length();
+        if bounds.is_empty() || away < COARSE * size {
+            return None;
+        }
+        self.robust = true;
+        Some(format!(
+            "the scene is {size:.3e} large and up to {away:.3e} from the origin, where Embree's default kernels miss boxes by \
+             rounding: its robust ones are used (--flags robust)"
+        ))
     }
 
     /// What Embree would silently do without refitting.

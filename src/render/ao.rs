@@ -1,7 +1,7 @@
 //! Ambient occlusion: how much of the hemisphere over a surface is free up to a distance (Zhukov, Iones and Kronin 1998).
 
 use crate::format::rays::Purpose;
-use crate::geometry::{Ray, Vec3};
+use crate::geometry::Vec3;
 use crate::render::path::camera_hits;
 use crate::render::queries::{MAX_PACKET, RayQueries, query};
 use crate::render::scenery::Scenery;
@@ -32,7 +32,7 @@ pub fn trace<Q: RayQueries>(
         asked.extend(surfaces.iter().map(|(index, surface)| {
             let sample = &samples[*index];
             let direction = surface.cosine_direction(sample.sampler.pair(first_dimension(1) + number));
-            let ray = Ray { origin: surface.origin, tnear: 0.0, direction, tfar: scenery.ao_distance };
+            let ray = surface.ray(direction, scenery.ao_distance);
             query(ray, sample.path, 1, Purpose::AmbientOcclusion)
         }));
         match &asked[..] {

@@ -191,6 +191,20 @@ fn the_same_rays_hit_where_floats_are_half_a_metre_apart() {
 }
 
 #[test]
+fn robust_kernels_are_used_where_floats_are_far_apart() {
+    let (stage, default) = (towers(), Settings::default());
+    let suited = |place: Place, mut settings: Settings| {
+        let told = settings.suit(&place.mesh(&stage.mesh));
+        assert_eq!(told.is_some(), settings.robust);
+        settings.robust
+    };
+    assert!(!suited(HOME, default.clone()) && !suited(moved(1e6, 0.0, 1e6), default.clone()));
+    assert!(suited(UTM, default.clone()));
+    let named = Settings { tri_accel: Some("bvh4.triangle4".to_owned()), ..default };
+    assert!(!suited(UTM, named));
+}
+
+#[test]
 fn the_same_rays_hit_at_every_scale() {
     let places = [1e-3, 1.0 / 64.0, 1e2, 1e4].map(|scale| Place { scale, ..HOME });
     for stage in [towers(), hall()] {

@@ -78,7 +78,9 @@ impl Sequence<'_> {
         heard.add(first, &warnings, &mut summary.warnings);
 
         files::create_empty_directory(self.directory)?;
-        let mut scene = Scene::new(&mesh, self.settings)?;
+        let mut settings = self.settings.clone();
+        summary.warnings.extend(settings.suit(&mesh));
+        let mut scene = Scene::new(&mesh, &settings)?;
         seconds.build = clock.lap();
         let (triangles, _) = scene.triangles();
         let size = [self.job.width, self.job.height];

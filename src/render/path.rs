@@ -173,13 +173,7 @@ fn light_ray(
     let by_bounce = if light.can_be_hit { (1.0 - appearance.specular_share) * cosine / PI } else { 0.0 };
     let reflected = appearance.diffuse / PI * cosine;
     let brings = walk.throughput * reflected * light.radiance / (light.density + by_bounce);
-    let ray = Ray {
-        origin: surface.origin,
-        tnear: 0.0,
-        direction: light.direction,
-        tfar: light.distance * BEFORE_LIGHT,
-    };
-    Some((ray, brings))
+    Some((surface.ray(light.direction, light.distance * BEFORE_LIGHT), brings))
 }
 
 /// Sends a walk on from the surface that it hit.
@@ -203,7 +197,7 @@ fn bounce(scenery: &Scenery, sample: &PixelSample, walk: &mut Walk, depth: u8) -
         direction
     };
     walk.alive = walk.throughput.max_element() > 0.0;
-    walk.ray = Ray { origin: surface.origin, tnear: 0.0, direction, tfar: f32::INFINITY };
+    walk.ray = surface.ray(direction, f32::INFINITY);
     if is_mirror { Purpose::Specular } else { Purpose::Diffuse }
 }
 

@@ -1,7 +1,7 @@
 //! Direct light: a camera ray and one shadow ray, to a light or, where there is one, to the sky.
 
 use crate::format::rays::Purpose;
-use crate::geometry::{Ray, Vec3};
+use crate::geometry::Vec3;
 use crate::render::path::{BEFORE_LIGHT, camera_hits};
 use crate::render::queries::{MAX_PACKET, RayQueries, query};
 use crate::render::scenery::Scenery;
@@ -31,7 +31,7 @@ pub fn trace<Q: RayQueries>(
         let reflectance = appearance.diffuse + appearance.specular;
         let surface = scenery.surface(&ray, met);
         if let Some((direction, distance, irradiance)) = incoming(scenery, sample, &surface) {
-            let ray = Ray { origin: surface.origin, tnear: 0.0, direction, tfar: distance * BEFORE_LIGHT };
+            let ray = surface.ray(direction, distance * BEFORE_LIGHT);
             asked.push(query(ray, sample.path, 1, Purpose::Shadow));
             brings.push((index, reflectance / PI * irradiance));
         }

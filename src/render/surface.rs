@@ -2,7 +2,7 @@
 //!
 //! Materials are two-sided, as the winding of scene files cannot be trusted.
 
-use crate::geometry::{Triangle, Vec3};
+use crate::geometry::{Ray, Triangle, Vec3};
 use crate::mesh::{Material, Mesh};
 use crate::render::film::luminance;
 use crate::render::meeting::Meeting;
@@ -63,6 +63,16 @@ impl Surface {
         Surface { part, distance: meeting.t as f32, normal: meeting.normal.as_vec3(), origin }
     }
 
+    /// A ray that leaves on the side of the normal and ends at `tfar`.
+    ///
+    /// Its interval begins at the least number above 0. Where floats are far apart, an origin may
+    /// lie in the plane of a wall that it is to pass, and Embree's kernels would not agree: the
+    /// robust one counts t = 0 as a hit when tnear is 0, the others do not.
+    #[inline]
+    pub fn ray(&self, direction: Vec3, tfar: f32) -> Ray {
+        Ray { origin: self.origin, tnear: f32::MIN_POSITIVE, direction, tfar }
+    }
+
     /// A direction on the side of the normal, with density cos/π (Malley's method, on concentric squares).
     pub fn cosine_direction(&self, [u, v]: [f32; 2]) -> Vec3 {
         let radius = u.sqrt();
@@ -81,7 +91,6 @@ impl Surface {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Ray;
 
     fn surface() -> (Ray, Surface) {
         let ray = Ray {

@@ -107,7 +107,7 @@ struct Arguments {
     /// How long Embree takes for its tree: low, medium or high (spatial splits)
     #[arg(long, default_value = "medium", value_parser = quality)]
     quality: Quality,
-    /// Embree's scene flags: robust (watertight), compact (less memory)
+    /// Embree's scene flags: robust (watertight; set where a scene stands far from the origin), compact (less memory)
     #[arg(long, value_enum, value_delimiter = ',')]
     flags: Vec<SceneFlag>,
     /// Embree's structure by name, such as bvh4.triangle4v or qbvh8.triangle4
@@ -346,7 +346,7 @@ fn record_frames(arguments: &Arguments, plan: &Plan, directory: &Path) -> Result
 }
 
 fn trace_one(arguments: &Arguments, plan: Plan) -> Result<Summary, Failure> {
-    let Plan { job, settings, wishes, trace, image } = plan;
+    let Plan { job, mut settings, wishes, trace, image } = plan;
     let [path] = &arguments.scene[..] else { return Err(Failure::new("expected one scene")) };
     let mut summary = Summary::new(&job);
     summary.scene = path.display().to_string();
@@ -355,6 +355,7 @@ fn trace_one(arguments: &Arguments, plan: Plan) -> Result<Summary, Failure> {
 
     let (mesh, warnings) = mesh::read_with(path, &Options { quads: arguments.quads, ..Options::default() })?;
     summary.warnings.extend(warnings.to_string().lines().map(str::to_owned));
+    summary.warnings.extend(settings.suit(&mesh));
     (summary.triangles, summary.parts) = (mesh.triangle_count() as u64, mesh.parts.len() as u64);
     summary.seconds.read = lap();
 
