@@ -134,6 +134,7 @@ mod embree {
         let bindings = std::panic::catch_unwind(|| {
             bindgen::Builder::default()
                 .header(header)
+                .derive_default(true)
                 .allowlist_item("([Ss][Hh][Ii][Mm]|Exchange|EXCHANGE).*")
                 .prepend_enum_name(false)
                 .rust_edition(bindgen::RustEdition::Edition2024)

@@ -78,12 +78,18 @@ struct QuantisedNode {
 };
 static_assert(sizeof(QuantisedNode<4>) == 80 && sizeof(QuantisedNode<8>) == 136);
 
+// What a block has in front of its numbers, in rows of four, one a lane: the first corner and the
+// edges v0 - v1 and v2 - v0 (f32 x, y, z each); all corners; or, for each corner, how many words (u32)
+// it lies behind the geometry's first vertex.
+enum class Contents : std::uint8_t { edges, corners, words };
+
 // Where a block of four primitives keeps their numbers: u32 geomID[4], then u32 primID[4], -1 in a lane that is not used.
 struct Block {
   const char* name;  // of the primitive type
   std::size_t bytes;
   std::size_t geometry;  // offset of geomID; primID follows
   std::uint32_t corners;
+  Contents contents;
 };
 constexpr std::size_t block_lanes = 4;
 // In the name of a kernel for geometries that move.
@@ -93,8 +99,9 @@ constexpr const char* instance_name = "instance";
 constexpr std::size_t instance_bytes = 16;
 constexpr std::size_t instance_geometry = 8;
 constexpr Block blocks[] = {
-    {"triangle4", 176, 144, 3}, {"triangle4v", 176, 144, 3}, {"triangle4i", 80, 48, 3},
-    {"quad4v", 224, 192, 4},    {"quad4i", 96, 64, 4},
+    {"triangle4", 176, 144, 3, Contents::edges}, {"triangle4v", 176, 144, 3, Contents::corners},
+    {"triangle4i", 80, 48, 3, Contents::words},  {"quad4v", 224, 192, 4, Contents::corners},
+    {"quad4i", 96, 64, 4, Contents::words},
 };
 constexpr std::size_t max_blocks = 7;
 constexpr std::size_t max_leaf_bytes = max_blocks * 224;
@@ -102,5 +109,11 @@ constexpr std::uint32_t no_primitive = 0xFFFFFFFFu;
 
 // Embree stops splitting long before.
 constexpr std::uint32_t max_depth = 100;
+
+// Entries of the stack of a traversal that are sure to be there: 1 + (width - 1) * 80, packets having
+// three fewer than single rays. The kernels for AVX-512 do not look whether it is full.
+constexpr std::uint32_t stack_entries(int width) noexcept {
+  return 1 + (static_cast<std::uint32_t>(width) - 1) * 80;
+}
 
 }  // namespace shim::layout

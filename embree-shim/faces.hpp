@@ -29,8 +29,8 @@ struct Part {
   const unsigned char* vertices = nullptr;
   std::size_t vertex_stride = 3 * sizeof(float);
   std::uint64_t vertex_count = 0;
-  const unsigned char* indices = nullptr;  // null when there is no face
-  std::size_t index_stride = 0;
+  const unsigned char* indices = nullptr;  // null when there is no face, or they are implied
+  std::size_t index_stride = 0;  // 0: implied, the corners of each face being vertices of its own
   std::uint64_t faces = 0;
   std::uint32_t corners = 3;
   std::uint32_t mask = 0;
@@ -46,6 +46,7 @@ struct Part {
   }
 
   std::uint32_t index(std::uint64_t face, std::uint32_t corner) const noexcept {
+    if (index_stride == 0) return static_cast<std::uint32_t>(corners * face + corner);
     std::uint32_t index;
     std::memcpy(&index, indices + face * index_stride + corner * sizeof index, sizeof index);
     return index;

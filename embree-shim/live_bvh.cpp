@@ -8,8 +8,7 @@
 #include <cstring>
 #include <limits>
 
-#include "embree_layout.hpp"
-#include "tree.hpp"
+#include "live_bvh.hpp"
 
 namespace shim {
 namespace {
@@ -31,22 +30,12 @@ Bounds bounds_of(const Accel& accel, int time) noexcept {
   return bounds;
 }
 
-// One BVH of the scene that has something in it.
-struct Source {
-  int width;
-  const Block* block;  // null: of instances
-  std::uint64_t root;
-  Bounds bounds;
-  std::string isa;
-  bool quantised = false;
-};
-
 // A reference that is still to be followed into node `node` of the tree.
 struct Pending {
   std::uint64_t reference;
   std::uint32_t node;
   std::uint32_t depth;
-  std::uint32_t source;
+  std::uint32_t bvh;
 };
 
 class Reader {
@@ -54,13 +43,24 @@ class Reader {
   Reader(const Attached& scene, Memory& memory, std::uint32_t version, Image image)
       : scene_(scene), memory_(memory), version_(version), image_(std::move(image)) {}
 
-  Tree read_tree() {
+  void show(LaneSink* lanes, const SlotOrder* order) noexcept {
+    lanes_ = lanes;
+    order_ = order;
+  }
+
+  // The way from the scene to its BVHs.
+  std::vector<LiveBvh> find_bvhs() {
     check_library();
     const std::vector<std::uint64_t> wrappers = read_scene();
     for (const std::uint64_t wrapper : wrappers) read_accel(wrapper);
     check_bounds();
+    return bvhs_;
+  }
+
+  LiveScene read_tree(std::vector<LiveBvh> bvhs) {
+    bvhs_ = std::move(bvhs);
     count_expected();
-    plant();
+    start();
     while (!pending_.empty()) {
       const Pending next = pending_.back();
       pending_.pop_back();
@@ -68,7 +68,7 @@ class Reader {
     }
     check_primitives();
     name_producer();
-    return std::move(tree_);
+    return {std::move(bvhs_), std::move(tree_)};
   }
 
  private:
@@ -99,7 +99,7 @@ class Reader {
     return wrappers;
   }
 
-  // Checks a wrapper and its BVH, and adds it to the sources unless it is empty.
+  // Checks a wrapper and its BVH, and adds it to the BVHs unless it is empty.
   void read_accel(std::uint64_t address) {
     const auto wrapper = read<layout::Wrapper>(memory_, Object::accel, address);
     check_vtable(wrapper.accel, "an acceleration structure");
@@ -118,23 +118,24 @@ class Reader {
       throw Doubt("a BVH does not point back to its scene");
     }
     if (bvh.root == layout::nothing) return;
-    Source source;
-    source.bounds = bounds_of(bvh.accel, 0);
-    if (!source.bounds.is_proper()) throw Doubt("a BVH's bounds are inverted");
-    all_bounds_.extend(source.bounds);
+    LiveBvh found;
+    found.bounds = bounds_of(bvh.accel, 0);
+    if (!found.bounds.is_proper()) throw Doubt("a BVH's bounds are inverted");
+    all_bounds_.extend(found.bounds);
     const std::string primitive = read_primitive_name(bvh.primitive_type);
     const std::string kernel = read_name(wrapper.name);
-    source.block = find_block(primitive);
+    found.block = find_block(primitive);
     const bool moving = kernel.find(layout::motion_kernel) != std::string::npos;
-    if (moving || (source.block == nullptr && primitive != layout::instance_name)) {
+    if (moving || (found.block == nullptr && primitive != layout::instance_name)) {
       if (!scene_.others) throw Doubt("the primitive type is unknown: " + printable(moving ? kernel : primitive));
       // Of geometries that are left out, or that move.
       return;
     }
-    source.width = bvh.accel.type == layout::type_bvh8 ? 8 : 4;
-    source.root = bvh.root;
-    source.isa = isa_of(kernel, source.width);
-    sources_.push_back(source);
+    found.width = bvh.accel.type == layout::type_bvh8 ? 8 : 4;
+    found.root = bvh.root;
+    found.root_address = wrapper.bvh + offsetof(layout::Bvh, root);
+    found.isa = isa_of(kernel, found.width);
+    bvhs_.push_back(std::move(found));
   }
 
   void check_vtable(const Accel& accel, const char* what) const {
@@ -148,7 +149,7 @@ class Reader {
     const Bounds& whole = scene_.bounds[0];
     // Geometries that are left out may reach further, and may move.
     const bool holds = scene_.others ? whole.contains(all_bounds_) || !whole.is_proper() : all_bounds_ == whole;
-    if (!sources_.empty() && !holds) throw Doubt("the BVHs' bounds differ from the scene's");
+    if (!bvhs_.empty() && !holds) throw Doubt("the BVHs' bounds differ from the scene's");
   }
 
   // A name inside libembree3's image.
@@ -212,11 +213,18 @@ class Reader {
 
   // How many faces the tree must hold.
   void count_expected() {
+    kept_.resize(scene_.triangle_count);
     for (const Part& part : scene_.parts) {
-      for (std::uint64_t face = 0; face < part.faces; face++) expected_ += part.keeps(face) ? 1 : 0;
+      std::uint64_t triangle = part.first_triangle;
+      for (std::uint64_t face = 0; face < part.faces; face++, triangle += part.triangles_per_face()) {
+        if (!part.keeps(face)) continue;
+        kept_[triangle] = true;
+        expected_++;
+      }
     }
-    // Spatial splits replicate at most a fifth of the primitives; anything near the limit is not a tree.
-    most_references_ = scene_.spatial_splits ? 4 * expected_ + 64 : expected_;
+    // Embree's spatial splits replicate at most a fifth of the primitives, those of trees that were planted at most 15 times
+    // as many as there are; anything near the limit is not a tree.
+    most_references_ = scene_.spatial_splits ? 16 * expected_ + 64 : expected_;
     for (const Part& part : scene_.parts) most_nodes_ += part.instance ? 2 : 0;
     most_nodes_ += 2 * most_references_ + 2 * layout::max_depth;
     seen_.resize(scene_.triangle_count);
@@ -224,21 +232,21 @@ class Reader {
   }
 
   // The root of what there is: of the one BVH, of several under one added node, or of nothing.
-  void plant() {
+  void start() {
     tree_.nodes.resize(1);
     Bounds bounds = Bounds::empty();
-    for (const Source& source : sources_) bounds.extend(source.bounds);
+    for (const LiveBvh& bvh : bvhs_) bounds.extend(bvh.bounds);
     tree_.set_bounds(0, bounds);
-    if (sources_.empty()) {
+    if (bvhs_.empty()) {
       tree_.make_leaf(0);
-    } else if (sources_.size() == 1) {
-      pending_.push_back({sources_[0].root, 0, 1, 0});
+    } else if (bvhs_.size() == 1) {
+      pending_.push_back({bvhs_[0].root, 0, 1, 0});
     } else {
-      const auto count = static_cast<std::uint32_t>(sources_.size());
+      const auto count = static_cast<std::uint32_t>(bvhs_.size());
       const std::uint32_t first = tree_.make_inner(0, count);
       for (std::uint32_t index = count; index-- > 0;) {
-        tree_.set_bounds(first + index, sources_[index].bounds);
-        pending_.push_back({sources_[index].root, first + index, 2, index});
+        tree_.set_bounds(first + index, bvhs_[index].bounds);
+        pending_.push_back({bvhs_[index].root, first + index, 2, index});
       }
     }
   }
@@ -247,13 +255,13 @@ class Reader {
     if (at.depth >= layout::max_depth) throw Doubt("a BVH is more than 100 levels deep");
     const std::uint64_t tag = at.reference & layout::tag_mask;
     const std::uint64_t address = at.reference & ~layout::tag_mask;
-    const bool wide = sources_[at.source].width == 8;
+    const bool wide = bvhs_[at.bvh].width == 8;
     if (tag > layout::tag_leaf) {
       read_leaf(address, tag - layout::tag_leaf, at);
     } else if (tag == layout::tag_box) {
       wide ? read_box_node<8>(address, at) : read_box_node<4>(address, at);
     } else if (tag == layout::tag_quantised) {
-      sources_[at.source].quantised = true;
+      bvhs_[at.bvh].quantised = true;
       wide ? read_quantised_node<8>(address, at) : read_quantised_node<4>(address, at);
     } else {
       throw Doubt("a node has the unknown tag " + std::to_string(tag));
@@ -270,7 +278,7 @@ class Reader {
         boxes[child].upper[axis] = node.bounds[axis][1][child];
       }
     }
-    add_children<width>(node.children, boxes, at);
+    add_children<width>(address, node.children, boxes, at);
   }
 
   // Embree computes start + scale * number with one rounding on CPUs with FMA and with two on others: the box is around both.
@@ -299,15 +307,16 @@ class Reader {
         boxes[child].upper[axis] = high;
       }
     }
-    add_children<width>(node.children, boxes, at);
+    add_children<width>(address, node.children, boxes, at);
   }
 
   // Checks the children's boxes, and lines them up to be followed, first child first.
   template <int width>
-  void add_children(const std::uint64_t (&references)[width], const Bounds (&boxes)[width], const Pending& at) {
+  void add_children(std::uint64_t address, const std::uint64_t (&references)[width], const Bounds (&boxes)[width],
+                    const Pending& at) {
     const Bounds parent = tree_.bounds(at.node);
     std::uint32_t count = 0;
-    int kept[width];
+    int kept[8];  // at most `width`
     for (int child = 0; child < width; child++) {
       if (references[child] == layout::nothing) continue;
       if (!boxes[child].is_proper()) throw Doubt("a node's box is inverted");
@@ -319,17 +328,29 @@ class Reader {
     if (tree_.nodes.size() + count > most_nodes_) {
       throw Doubt("a BVH has more nodes than its primitives need");
     }
+    put_in_order(address, kept, count);
     const std::uint32_t first = tree_.make_inner(at.node, count);
     for (std::uint32_t index = count; index-- > 0;) {
       tree_.set_bounds(first + index, boxes[kept[index]]);
-      pending_.push_back({references[kept[index]], first + index, at.depth + 1, at.source});
+      pending_.push_back({references[kept[index]], first + index, at.depth + 1, at.bvh});
+    }
+  }
+
+  // The slots of a node's children in the order in which they are told.
+  void put_in_order(std::uint64_t address, int (&kept)[8], std::uint32_t count) const {
+    const std::uint8_t* places = order_ == nullptr ? nullptr : order_->places(address);
+    if (places == nullptr) return;
+    for (std::uint32_t end = 1; end < count; end++) {
+      for (std::uint32_t at = end; at > 0 && places[kept[at]] < places[kept[at - 1]]; at--) {
+        std::swap(kept[at], kept[at - 1]);
+      }
     }
   }
 
   void read_leaf(std::uint64_t address, std::uint64_t count, const Pending& at) {
     unsigned char bytes[layout::max_leaf_bytes];
     tree_.make_leaf(at.node);
-    if (sources_[at.source].block == nullptr) {
+    if (bvhs_[at.bvh].block == nullptr) {
       memory_.read(Object::leaf, address, bytes, count * layout::instance_bytes);
       for (std::uint64_t index = 0; index < count; index++) {
         std::uint32_t geometry;
@@ -338,13 +359,16 @@ class Reader {
       }
       return;
     }
-    const Block& block = *sources_[at.source].block;
+    const Block& block = *bvhs_[at.bvh].block;
     memory_.read(Object::leaf, address, bytes, count * block.bytes);
     for (std::uint64_t index = 0; index < count; index++) {
       std::uint32_t numbers[2][layout::block_lanes];
       std::memcpy(numbers, bytes + index * block.bytes + block.geometry, sizeof numbers);
       for (std::size_t lane = 0; lane < layout::block_lanes; lane++) {
-        if (numbers[1][lane] != layout::no_primitive) add_face(block, numbers[0][lane], numbers[1][lane], at.node);
+        if (numbers[1][lane] == layout::no_primitive) continue;
+        add_face(block, numbers[0][lane], numbers[1][lane], at.node);
+        if (lanes_ == nullptr) continue;
+        lanes_->see(bvhs_[at.bvh], bytes + index * block.bytes, lane, numbers[0][lane], numbers[1][lane], memory_);
       }
     }
     if (tree_.nodes[at.node].count == leaf_bit) throw Doubt("a leaf is empty");
@@ -357,9 +381,9 @@ class Reader {
     const Part& part = scene_.parts[geometry];
     if (part.corners != block.corners) throw Doubt("a leaf names a geometry of another kind");
     if (face >= part.faces) throw Doubt("a leaf names a primitive that does not exist");
-    if (!part.keeps(face)) throw Doubt("a leaf names a primitive that Embree cannot have kept");
-    if (++references_ > most_references_) throw Doubt("the leaves name more primitives than were attached");
     const std::uint32_t triangle = part.first_triangle + part.triangles_per_face() * face;
+    if (!kept_[triangle]) throw Doubt("a leaf names a primitive that Embree cannot have kept");
+    if (++references_ > most_references_) throw Doubt("the leaves name more primitives than were attached");
     if (seen_[triangle]) {
       if (!scene_.spatial_splits) throw Doubt("a primitive stands in two leaves without spatial splits");
       tree_.splits = true;
@@ -403,14 +427,14 @@ class Reader {
   void name_producer() {
     tree_.producer = library_name(version_);
     std::string open;
-    for (const Source& source : sources_) {
-      const std::string structure = (source.quantised ? "QBVH" : "BVH") + std::to_string(source.width);
+    for (const LiveBvh& bvh : bvhs_) {
+      const std::string structure = (bvh.quantised ? "QBVH" : "BVH") + std::to_string(bvh.width);
       if (open.empty()) {
-        tree_.producer += " " + source.isa + " " + structure + "<";
+        tree_.producer += " " + bvh.isa + " " + structure + "<";
       } else {
         tree_.producer += structure == open ? "," : ">," + structure + "<";
       }
-      tree_.producer += source.block == nullptr ? layout::instance_name : source.block->name;
+      tree_.producer += bvh.block == nullptr ? layout::instance_name : bvh.block->name;
       open = structure;
     }
     if (!open.empty()) tree_.producer += ">";
@@ -424,9 +448,12 @@ class Reader {
   std::uint32_t version_;
   Image image_;
   Bounds all_bounds_ = Bounds::empty();  // of all BVHs, also of those that are left out
-  std::vector<Source> sources_;
+  std::vector<LiveBvh> bvhs_;
+  LaneSink* lanes_ = nullptr;
+  const SlotOrder* order_ = nullptr;
   std::vector<Pending> pending_;
-  std::vector<bool> seen_;  // by a face's first triangle
+  std::vector<bool> kept_;  // by a face's first triangle, as seen_
+  std::vector<bool> seen_;
   std::vector<bool> seen_instances_;
   std::uint64_t expected_ = 0;
   std::uint64_t most_references_ = 0;
@@ -438,15 +465,47 @@ class Reader {
 
 }  // namespace
 
-Tree read_live_tree(const Attached& scene, const ShimFault* fault) {
+namespace {
+
+// Reads with the library and memory of this process, or, for tests, with a faulty one.
+template <typename Work>
+auto with_reader(const Attached& scene, const ShimFault* fault, Work&& work) {
   std::uint32_t version = scene.version;
   Image image = find_image();
   ProcessMemory memory;
-  if (fault == nullptr) return Reader(scene, memory, version, std::move(image)).read_tree();
+  if (fault == nullptr) {
+    Reader reader(scene, memory, version, std::move(image));
+    return work(reader);
+  }
   if (fault->version != 0) version = fault->version;
   if (fault->no_image != 0) image = Image();
   FaultyMemory faulty(memory, *fault);
-  return Reader(scene, faulty, version, std::move(image)).read_tree();
+  Reader reader(scene, faulty, version, std::move(image));
+  return work(reader);
+}
+
+}  // namespace
+
+Tree read_live_tree(const Attached& scene, const ShimFault* fault) {
+  return read_live_scene(scene, fault, nullptr, nullptr).tree;
+}
+
+std::vector<LiveBvh> find_live_bvhs(const Attached& scene, const ShimFault* fault) {
+  return with_reader(scene, fault, [](Reader& reader) { return reader.find_bvhs(); });
+}
+
+LiveScene read_live_scene(const Attached& scene, const ShimFault* fault, LaneSink* lanes, const SlotOrder* order) {
+  return with_reader(scene, fault, [&](Reader& reader) {
+    reader.show(lanes, order);
+    return reader.read_tree(reader.find_bvhs());
+  });
+}
+
+Tree read_tree_below(const Attached& scene, std::vector<LiveBvh> bvhs, const SlotOrder* order) {
+  return with_reader(scene, nullptr, [&](Reader& reader) {
+    reader.show(nullptr, order);
+    return reader.read_tree(std::move(bvhs)).tree;
+  });
 }
 
 }  // namespace shim

@@ -27,6 +27,7 @@ const char* name(Object object) noexcept {
     case Object::text: return "a name";
     case Object::node: return "a node";
     case Object::leaf: return "a leaf";
+    case Object::vertex: return "a vertex";
   }
   return "an object";
 }

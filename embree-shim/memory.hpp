@@ -28,6 +28,7 @@ enum class Object : std::uint32_t {
   text = SHIM_OBJECT_TEXT,
   node = SHIM_OBJECT_NODE,
   leaf = SHIM_OBJECT_LEAF,
+  vertex = SHIM_OBJECT_VERTEX,
 };
 
 // Addresses from `begin` up to, without, `end`.

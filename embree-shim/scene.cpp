@@ -1,6 +1,7 @@
 // Device and scene of Embree: copies the arrays into buffers that Embree owns, attaches every part, commits.
 #include "scene.hpp"
 
+#include <algorithm>
 #include <cstring>
 #include <memory>
 
@@ -100,6 +101,7 @@ Scene::Scene(const ShimSettings& settings, const float* vertices, std::uint64_t 
   scene.release();
 }
 
+// What was planted is freed behind the scene.
 Scene::~Scene() { rtcReleaseScene(scene_); }
 
 void Scene::set_flags() {
@@ -133,6 +135,9 @@ void Scene::update(const float* vertices, std::uint64_t vertex_count) {
   }
   // Nothing has read the vertices so far. Without a geometry that holds it there is no buffer.
   if (attached) std::memcpy(vertices_, vertices, vertex_count * 3 * sizeof(float));
+  // Embree finds its own tree, whatever it does to it.
+  choose(0);
+  planted_.clear();
   rtcCommitScene(scene_);
   device_.check("cannot commit the scene again");
   describe();
@@ -183,6 +188,55 @@ void Scene::describe() {
   attached_.bounds[0] = bounds_of(linear.bounds0);
   attached_.bounds[1] = bounds_of(linear.bounds1);
   attached_.spatial_splits = quality_ == RTC_BUILD_QUALITY_HIGH;
+}
+
+ShimPlanted Scene::plant(const ShimTreeFile& file, const ShimFault* fault) {
+  Ground ground;
+  ground.device = attached_.device;
+  ground.scene = attached_.scene;
+  ground.version = attached_.version;
+  std::copy(attached_.bounds, attached_.bounds + 2, ground.bounds);
+  ground.spatial_splits = attached_.spatial_splits;
+  ground.others = attached_.others;
+  ground.vertices = [](const void* scene, std::uint32_t geometry) {
+    auto* handle = static_cast<RTCScene>(const_cast<void*>(scene));
+    const void* data = rtcGetGeometryBufferData(rtcGetGeometry(handle, geometry), RTC_BUFFER_TYPE_VERTEX, 0);
+    return data;
+  };
+  // The checks are of Embree's own tree.
+  const std::uint32_t before = chosen_;
+  choose(0);
+  try {
+    planted_.reserve(planted_.size() + 1);
+    planted_.push_back(shim::plant(ground, file, fault));
+  } catch (...) {
+    choose(before);
+    throw;
+  }
+  chosen_ = static_cast<std::uint32_t>(planted_.size());
+  ShimPlanted planted = planted_.back()->describe();
+  planted.number = chosen_;
+  return planted;
+}
+
+bool Scene::choose(std::uint32_t number) noexcept {
+  if (number > planted_.size()) return false;
+  if (number != 0) {
+    planted_[number - 1]->make_current();
+  } else if (chosen_ != 0) {
+    planted_[chosen_ - 1]->restore();
+  }
+  chosen_ = number;
+  return true;
+}
+
+Tree Scene::live_tree(const ShimFault* fault) const {
+  if (chosen_ == 0) return read_live_tree(attached_, fault);
+  const PlantedTree& planted = *planted_[chosen_ - 1];
+  Attached scene = attached_;
+  scene.spatial_splits = scene.spatial_splits || planted.splits();
+  const bool slots = fault != nullptr && fault->slots != 0;
+  return read_live_scene(scene, fault, nullptr, slots ? nullptr : &planted).tree;
 }
 
 std::uint64_t Scene::triangles(float* triangles) const noexcept {

@@ -2,12 +2,14 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
 #include "embree_api.hpp"
 #include "faces.hpp"
+#include "plant.hpp"
 #include "shim.h"
 
 namespace shim {
@@ -62,6 +64,12 @@ class Scene {
   const std::vector<Part>& parts() const noexcept { return attached_.parts; }
   std::uint64_t triangle_count() const noexcept { return attached_.triangle_count; }
   const Attached& attached() const noexcept { return attached_; }
+  // Plants a tree, and makes it the current one; see shim_scene_plant. Throws Doubt.
+  ShimPlanted plant(const ShimTreeFile& file, const ShimFault* fault);
+  // Makes another one current; see shim_scene_choose. False when there is none of that number.
+  bool choose(std::uint32_t number) noexcept;
+  // The tree that queries traverse, read from memory. Throws Doubt.
+  Tree live_tree(const ShimFault* fault) const;
   // Writes the elements of TRIS: 9 floats each. See shim_scene_triangles for what is replaced and returned.
   std::uint64_t triangles(float* triangles) const noexcept;
 
@@ -78,6 +86,8 @@ class Scene {
   float* vertices_ = nullptr;  // Embree's buffer
   std::uint64_t vertex_count_ = 0;
   Attached attached_;
+  std::vector<std::unique_ptr<PlantedTree>> planted_;  // since the last commit
+  std::uint32_t chosen_ = 0;                           // as in shim_scene_choose
 };
 
 }  // namespace shim

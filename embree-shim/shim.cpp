@@ -82,8 +82,18 @@ uint64_t shim_scene_triangles(const ShimScene* scene, float* triangles) { return
 
 ShimTree* shim_tree_live(const ShimScene* scene, const ShimFault* fault, ShimError* error) {
   return shim::guarded(error, static_cast<ShimTree*>(nullptr),
-                       [&] { return hand_over(shim::read_live_tree(scene->scene.attached(), fault)); });
+                       [&] { return hand_over(scene->scene.live_tree(fault)); });
 }
+
+uint32_t shim_scene_plant(ShimScene* scene, const ShimTreeFile* file, const ShimFault* fault, ShimPlanted* planted,
+                          ShimError* error) {
+  return shim::guarded(error, uint32_t{1}, [&] {
+    *planted = scene->scene.plant(*file, fault);
+    return uint32_t{0};
+  });
+}
+
+uint32_t shim_scene_choose(ShimScene* scene, uint32_t number) { return scene->scene.choose(number) ? 0 : 1; }
 
 ShimTree* shim_tree_built(const ShimScene* scene, ShimError* error) {
   return shim::guarded(error, static_cast<ShimTree*>(nullptr),

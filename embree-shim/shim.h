@@ -104,6 +104,45 @@ typedef struct ShimTree {
   char producer[60]; /* zero terminated */
 } ShimTree;
 
+/* An element of GEOM: Rust's `format::bvh::Geometry`, byte for byte (32 bytes). */
+typedef struct ShimGeometry {
+  uint32_t instance; /* 0xFFFFFFFF: not instanced */
+  uint32_t geometry; /* geomID */
+  uint32_t first_triangle;
+  uint32_t triangle_count;
+  uint32_t mask;
+  uint32_t kind; /* 0 triangles, 1 quads */
+  uint32_t flags; /* 1: it moves */
+  uint32_t reserved;
+} ShimGeometry;
+
+/* What a `.bvh` holds, borrowed for a call. Nothing in it is believed: every index, box and triangle is checked. */
+typedef struct ShimTreeFile {
+  const ShimNode* nodes;
+  uint64_t node_count;
+  const uint32_t* primitives;
+  uint64_t primitive_count;
+  const float* triangles; /* 9 floats each */
+  uint64_t triangle_count;
+  const ShimGeometry* geometries;
+  uint64_t geometry_count;
+  const uint8_t* order; /* ORDR: one per node, or null */
+  uint32_t flags;       /* of the header; SHIM_FILE_* */
+} ShimTreeFile;
+
+enum { SHIM_FILE_SPLITS = 1, SHIM_FILE_FLATTENED = 2 };
+
+/* What was planted. */
+typedef struct ShimPlanted {
+  uint32_t number; /* for shim_scene_choose */
+  uint32_t trees;  /* one for each of Embree's: triangles, quads */
+  uint64_t nodes;
+  uint64_t blocks;
+  uint64_t bytes;
+  uint32_t stack; /* entries that a traversal needs at most */
+  uint32_t width; /* of the live nodes */
+} ShimPlanted;
+
 /* The objects of Embree's that the live tree is read from. */
 enum {
   SHIM_OBJECT_SCENE = 0,
@@ -114,18 +153,20 @@ enum {
   SHIM_OBJECT_CODE = 5,
   SHIM_OBJECT_TEXT = 6,
   SHIM_OBJECT_NODE = 7,
-  SHIM_OBJECT_LEAF = 8
+  SHIM_OBJECT_LEAF = 8,
+  SHIM_OBJECT_VERTEX = 9
 };
 
-/* For tests of the checks: another version (0 = the true one), no libembree3, or wrong bytes in the nth read of a kind of
- * object: byte = (byte & keep) ^ flip, `length` of them from `offset`. Memory itself is never written. */
+/* For tests of the checks: another version (0 = the true one), no libembree3, children of a planted tree in the order of
+ * their slots in place of the file's, or wrong bytes in the nth read of a kind of object: byte = (byte & keep) ^ flip, `length` of them from `offset`. Memory itself is never written. */
 typedef struct ShimFault {
   uint32_t version;
   uint32_t no_image;
+  uint32_t slots;
   uint32_t object;
   uint32_t offset;
-  uint64_t nth;
   uint32_t length;
+  uint64_t nth;
   uint8_t keep[16];
   uint8_t flip[16];
 } ShimFault;
@@ -164,6 +205,14 @@ uint64_t shim_scene_triangles(const ShimScene* scene, float* triangles);
 
 /* Embree's own tree, read from its memory; `fault` is null but in tests. Null, with SHIM_DOUBT, when a check fails. */
 ShimTree* shim_tree_live(const ShimScene* scene, const ShimFault* fault, ShimError* error);
+/* Plants a tree: from then on every query traverses it, in memory that belongs to the scene. 0 when it is done. SHIM_DOUBT
+ * when anything about the file, the scene or the two together is not as it must be: then nothing has changed.
+ * No intersector may be asking meanwhile. `fault` is null but in tests. */
+uint32_t shim_scene_plant(ShimScene* scene, const ShimTreeFile* file, const ShimFault* fault, ShimPlanted* planted,
+                          ShimError* error);
+/* Which tree queries traverse from now on: 0 Embree's own, otherwise the number of a planted one. Intersectors may be asking
+ * meanwhile: both trees are valid. Non-zero when there is none of that number; a commit forgets all of them. */
+uint32_t shim_scene_choose(ShimScene* scene, uint32_t number);
 /* The binary tree of rtcBuildBVH. */
 ShimTree* shim_tree_built(const ShimScene* scene, ShimError* error);
 void shim_tree_free(ShimTree* tree);

@@ -8,12 +8,14 @@
 
 pub(crate) mod ffi;
 mod intersector;
+mod plant;
 mod settings;
 #[doc(hidden)]
 pub mod testing;
 mod tree;
 
 pub use intersector::{BATCH_RECORDS, BatchSink, Hit, Intersector, Query, Stop};
+pub use plant::Planted;
 pub use settings::{Commit, Isa, Quality, Settings, TRI_ACCELS};
 pub use tree::{BuiltTree, TreeSource};
 
@@ -35,6 +37,9 @@ pub enum EmbreeError {
     /// A mesh that breaks the promises of [`crate::mesh`], or does not fit into the files.
     #[error("{0}")]
     Mesh(String),
+    /// Why a tree is not planted; the scene keeps the one that it has.
+    #[error("{0}")]
+    NotPlanted(String),
     /// Whatever else Embree reported: RTCError and message.
     #[error("Embree (error {code}): {message}")]
     Device { code: i32, message: String },
@@ -50,6 +55,10 @@ impl EmbreeError {
 pub struct Scene {
     handle: NonNull<ffi::ShimScene>,
     geometries: Vec<Geometry>,
+    /// Trees that were planted since the last commit, by number from 1.
+    planted: Vec<plant::Origin>,
+    /// The number of the one that is traversed; 0 is Embree's own.
+    chosen: u32,
 }
 
 /// Mask of every geometry: each query sees it, unless its own mask is 0.
@@ -96,10 +105,12 @@ impl Scene {
             )
         };
         let geometries = mesh.geometries(ALL_MASKS);
-        NonNull::new(handle).map(|handle| Scene { handle, geometries }).ok_or_else(|| match settings.isa {
-            Some(isa) if error.code == ffi::UNSUPPORTED_CPU => EmbreeError::UnsupportedIsa(isa),
-            _ => EmbreeError::from_shim(&error),
-        })
+        NonNull::new(handle)
+            .map(|handle| Scene { handle, geometries, planted: Vec::new(), chosen: 0 })
+            .ok_or_else(|| match settings.isa {
+                Some(isa) if error.code == ffi::UNSUPPORTED_CPU => EmbreeError::UnsupportedIsa(isa),
+                _ => EmbreeError::from_shim(&error),
+            })
     }
 
     /// Gives the scene other vertices, as many as it has, for the same faces, and commits it as [`Settings::commit`] said.
@@ -120,7 +131,12 @@ impl Scene {
                 &mut error,
             )
         };
-        if failed == 0 { Ok(()) } else { Err(EmbreeError::from_shim(&error)) }
+        if failed != 0 {
+            return Err(EmbreeError::from_shim(&error));
+        }
+        self.planted.clear();
+        self.chosen = 0;
+        Ok(())
     }
 
     /// The version of the library, such as 31305 for 3.13.5; 0 when it cannot make a device.

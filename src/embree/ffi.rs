@@ -2,6 +2,8 @@
 #![allow(non_camel_case_types, non_snake_case, non_upper_case_globals, dead_code, clippy::all)]
 
 use super::intersector::{Hit, Query};
+use crate::format::bvh::Geometry;
+use crate::format::bvh::flag;
 use crate::format::rays::Record;
 use crate::geometry::Triangle;
 use crate::tree::Node;
@@ -78,4 +80,17 @@ assert_same_layout!(
     (normal, normal)
 );
 assert_same_layout!(Node, ShimNode, (lower, lower), (first, first), (upper, upper), (count, count));
+assert_same_layout!(
+    Geometry,
+    ShimGeometry,
+    (instance, instance),
+    (geometry, geometry),
+    (first_triangle, first_triangle),
+    (triangle_count, triangle_count),
+    (mask, mask),
+    (kind, kind),
+    (flags, flags),
+    (reserved, reserved)
+);
+const _: () = assert!(flag::SPATIAL_SPLITS == SHIM_FILE_SPLITS && flag::FLATTENED == SHIM_FILE_FLATTENED);
 const _: () = assert!(size_of::<Triangle>() == 9 * size_of::<f32>());

@@ -1,6 +1,10 @@
-//! For the crate's own tests: the live tree read from falsified memory, so that every check of its layout is seen to work.
+//! For the crate's own tests: the live tree read from falsified memory, so that every check of its layout is seen to work; and
+//! arrays planted that no reader of files would let pass.
 
-use super::{BuiltTree, EmbreeError, Scene, ffi};
+use super::{BuiltTree, EmbreeError, Planted, Scene, ffi};
+use crate::format::bvh::Geometry;
+use crate::geometry::Triangle;
+use crate::tree::TreeView;
 
 /// Objects of Embree's that the live tree is read from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,9 +19,11 @@ pub enum Object {
     Text = ffi::SHIM_OBJECT_TEXT,
     Node = ffi::SHIM_OBJECT_NODE,
     Leaf = ffi::SHIM_OBJECT_LEAF,
+    Vertex = ffi::SHIM_OBJECT_VERTEX,
 }
 
 impl Object {
+    /// Those that a tree is read from. Vertices are looked at before one is planted.
     pub const ALL: [Object; 9] = [
         Object::Scene,
         Object::AccelList,
@@ -54,24 +60,31 @@ pub enum Fault {
     },
 }
 
-/// What [`Scene::tree`] gives for the live tree, when the process is as `fault` says.
-pub fn live_tree(scene: &Scene, fault: Fault) -> Result<BuiltTree, EmbreeError> {
-    let none = ffi::ShimFault {
-        version: 0,
-        no_image: 0,
-        object: 0,
-        offset: 0,
-        nth: u64::MAX,
-        length: 0,
-        keep: [0; 16],
-        flip: [0; 16],
-    };
-    let fault = match fault {
-        Fault::Version(version) => ffi::ShimFault { version, ..none },
-        Fault::NoImage => ffi::ShimFault { no_image: 1, ..none },
-        Fault::Set { object, nth, offset, bytes, length } => {
-            ffi::ShimFault { object: object as u32, nth, offset, flip: bytes, length: length.min(16), ..none }
-        }
+/// Nothing false.
+const NO_FAULT: ffi::ShimFault = ffi::ShimFault {
+    version: 0,
+    no_image: 0,
+    object: 0,
+    slots: 0,
+    offset: 0,
+    length: 0,
+    nth: u64::MAX,
+    keep: [0; 16],
+    flip: [0; 16],
+};
+
+fn shim_fault(fault: Fault) -> ffi::ShimFault {
+    match fault {
+        Fault::Version(version) => ffi::ShimFault { version, ..NO_FAULT },
+        Fault::NoImage => ffi::ShimFault { no_image: 1, ..NO_FAULT },
+        Fault::Set { object, nth, offset, bytes, length } => ffi::ShimFault {
+            object: object as u32,
+            nth,
+            offset,
+            flip: bytes,
+            length: length.min(16),
+            ..NO_FAULT
+        },
         Fault::Flip { object, nth, offset, bytes, length } => ffi::ShimFault {
             object: object as u32,
             nth,
@@ -79,8 +92,46 @@ pub fn live_tree(scene: &Scene, fault: Fault) -> Result<BuiltTree, EmbreeError> 
             keep: [0xFF; 16],
             flip: bytes,
             length: length.min(16),
-            ..none
+            ..NO_FAULT
         },
+    }
+}
+
+/// What [`Scene::tree`] gives for the live tree, when the process is as `fault` says.
+pub fn live_tree(scene: &Scene, fault: Fault) -> Result<BuiltTree, EmbreeError> {
+    scene.live_tree(Some(&shim_fault(fault)))
+}
+
+/// The live tree with the children of each node in the order of its slots, which is that of the file where it was planted.
+pub fn slots(scene: &Scene) -> Result<BuiltTree, EmbreeError> {
+    scene.live_tree(Some(&ffi::ShimFault { slots: 1, ..NO_FAULT }))
+}
+
+/// What a `.bvh` would hold, unchecked.
+#[derive(Clone, Copy, Debug)]
+pub struct Arrays<'a> {
+    pub tree: TreeView<'a>,
+    pub triangles: &'a [Triangle],
+    pub geometries: &'a [Geometry],
+    pub order: Option<&'a [u8]>,
+    pub flags: u32,
+}
+
+/// [`Scene::plant`] of arrays, when the process is as `fault` says.
+pub fn plant_arrays(scene: &mut Scene, arrays: Arrays, fault: Option<Fault>) -> Result<Planted, EmbreeError> {
+    let Arrays { tree, triangles, geometries, order, flags } = arrays;
+    assert!(order.is_none_or(|order| order.len() == tree.nodes.len()), "an order is one byte a node");
+    let file = ffi::ShimTreeFile {
+        nodes: tree.nodes.as_ptr().cast(),
+        node_count: tree.nodes.len() as u64,
+        primitives: tree.primitives.as_ptr(),
+        primitive_count: tree.primitives.len() as u64,
+        triangles: triangles.as_ptr().cast(),
+        triangle_count: triangles.len() as u64,
+        geometries: geometries.as_ptr().cast(),
+        geometry_count: geometries.len() as u64,
+        order: order.map_or(std::ptr::null(), <[u8]>::as_ptr),
+        flags,
     };
-    scene.live_tree(Some(&fault))
+    scene.plant_with(&file, fault.map(shim_fault).as_ref())
 }

@@ -48,7 +48,9 @@ pub struct BuiltTree {
     pub triangles: Vec<Triangle>,
     /// The elements of `GEOM`, one per part of the mesh.
     pub geometries: Vec<Geometry>,
-    /// Such as `embree 3.13.5 avx2 BVH8<triangle4>`.
+    /// The element of `ORDR` of each node, where the tree was planted with it.
+    pub order: Option<Vec<u8>>,
+    /// Such as `embree 3.13.5 avx2 BVH8<triangle4>`; of a tree that was planted, `planted in` that.
     pub producer: String,
     /// Flags of the `.bvh`'s header.
     pub flags: u32,
@@ -83,6 +85,10 @@ impl Scene {
             Ok(taken) => {
                 let mut built = self.assemble(taken);
                 built.flags |= flag::LIVE;
+                if let Some(origin) = self.chosen() {
+                    built.producer = format!("planted in {}", built.producer);
+                    built.order = origin.order_of(built.tree.view());
+                }
                 Ok(built)
             }
             Err(EmbreeError::Device { code, message }) if code == ffi::SHIM_DOUBT as i32 => {
@@ -135,6 +141,7 @@ impl Scene {
             tree: taken.tree,
             triangles,
             geometries: self.geometries.clone(),
+            order: None,
             producer: taken.producer,
             flags: if taken.splits { flag::SPATIAL_SPLITS } else { 0 },
             warning,

@@ -50,13 +50,14 @@ impl Pair<'_> {
     ) -> Result<Started, PairError> {
         // The file of rays first: the tree must not replace an old one when there will be no rays.
         let out = files::create(self.rays)?;
-        let BuiltTree { tree, triangles, geometries, producer, flags, warning } = scene.tree(self.source)?;
+        let BuiltTree { tree, triangles, geometries, order, producer, flags, warning } =
+            scene.tree(self.source)?;
         let meta = meta.to_string();
         let contents = Contents {
             tree: tree.view(),
             triangles: &triangles,
             geometries: &geometries,
-            order: None,
+            order: order.as_deref(),
             meta: Some(&meta),
             flags,
             producer: &producer,
