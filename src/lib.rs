@@ -8,6 +8,7 @@
 //! | scenes | [`mesh`] | triangles from OBJ, PLY and generators |
 //! | Embree | `embree` (feature) | queries through the shim, and Embree's own trees |
 //! | queries | [`render`], `record` (feature) | a renderer that asks, or somebody else's (`record::program`), and the writer of what was asked |
+//! | planting | `plant` (feature) | trees of files back into Embree's scenes |
 //! | formats | [`mod@format`], [`files`] | `.rays` and `.bvh`, each read and written in one place |
 //! | looking | [`inspect`], [`diff`] | what is in a file, and how two differ |
 //! | other formats | [`convert`] | recordings and trees to NumPy and other programs, and back |
@@ -42,6 +43,8 @@ pub mod geometry;
 pub mod inspect;
 pub mod mesh;
 pub mod optimize;
+#[cfg(feature = "embree")]
+pub mod plant;
 pub mod probability;
 pub mod progress;
 pub mod random;

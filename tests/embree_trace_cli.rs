@@ -252,3 +252,76 @@ fn a_full_disk_is_an_error() {
     bad(directory.path(), &full, &["/dev/full", "stopped after", "queries"]);
     assert!(!fs::metadata("/dev/full").unwrap().is_file());
 }
+
+/// Runs another command of ours; true when it ends with 0.
+fn ends_well(directory: &Path, program: &str, arguments: &[&str]) -> bool {
+    let output = Command::new(program).args(arguments).current_dir(directory).output().unwrap();
+    output.status.success()
+}
+
+/// The loop is closed: recorded, rebuilt, planted, and recorded again.
+#[test]
+fn a_planted_tree_renders_the_same_picture_and_is_recorded() {
+    let directory = TempDir::new().unwrap();
+    let directory = directory.path();
+    room(directory);
+    let trace = |arguments: &[&str]| {
+        let mut all = vec!["room.obj", "--isa", "sse42", "--size", "60x40", "--spp", "2", "--threads", "1"];
+        all.extend_from_slice(CAMERA);
+        all.extend_from_slice(arguments);
+        let output = command(directory, &all);
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{all:?}: {stderr}");
+        (String::from_utf8(output.stdout).unwrap(), stderr)
+    };
+    trace(&["--savetrace", "own.rays", "own.bvh", "--output", "own.exr"]);
+    let file = |name: &str| fs::read(directory.join(name)).unwrap();
+    let build = |arguments: &[&str]| {
+        assert!(ends_well(directory, env!("CARGO_BIN_EXE_bvh-build"), arguments), "{arguments:?}");
+    };
+    build(&["own.bvh", "ours.bvh", "--splits", "spatial", "--width", "4", "--rays", "own.rays", "--order"]);
+    build(&["own.bvh", "wide.bvh", "--width", "8"]);
+    let (stdout, stderr) =
+        trace(&["--tree", "ours.bvh", "--savetrace", "p.rays", "p.bvh", "--output", "p.exr"]);
+    assert!(stdout.contains("planted  ours.bvh: ") && stderr.is_empty(), "{stdout} {stderr}");
+    assert_eq!(file("p.exr"), file("own.exr"));
+    let ours = file("ours.bvh");
+    let (ours, planted) = (Bvh::parse(&ours).unwrap(), file("p.bvh"));
+    let planted = Bvh::parse(&planted).unwrap();
+    assert_eq!(planted.tree.nodes, ours.tree.nodes);
+    assert_eq!(planted.tree.primitives, ours.tree.primitives);
+    assert!(ours.order.is_some() && planted.order == ours.order);
+    assert_eq!(planted.header.fingerprint, ours.header.fingerprint);
+    assert_eq!(planted.header.producer, "planted in embree 3.13.5 sse2 BVH4<triangle4>");
+    let same = ["ours.bvh", "p.bvh"];
+    assert!(ends_well(directory, env!("CARGO_BIN_EXE_trace-diff"), &same));
+    assert!(ends_well(directory, env!("CARGO_BIN_EXE_bvh-compare"), &["p.bvh", "ours.bvh", "p.rays"]));
+    let (json, _) = trace(&["--tree", "ours.bvh", "--format", "json"]);
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!((&json["planted"]["path"], &json["planted"]["width"]), (&"ours.bvh".into(), &4.into()));
+
+    // What is no tree for this scene is left out, with one line: of another scene, too wide.
+    good(directory, &["room.obj", "--quads", "--size", "8x8", "--savetrace", "q.rays", "quads.bvh"]);
+    for (name, reason) in [
+        ("wide.bvh", "children, and the scene's are 4 wide"),
+        ("quads.bvh", "the scene's own tree is not one of the file's triangles"),
+    ] {
+        let (stdout, stderr) = trace(&["--tree", name, "--output", "p.exr"]);
+        assert!(!stdout.contains("planted"), "{stdout}");
+        assert_eq!(stderr.lines().count(), 1, "{stderr}");
+        let start =
+            format!("embree-trace: warning: {name}: not planted, and Embree's own tree is traversed: ");
+        assert!(stderr.starts_with(&start) && stderr.contains(reason), "{stderr}");
+        assert_eq!(file("p.exr"), file("own.exr"));
+    }
+    // What is no tree at all is an error.
+    let mut damaged = file("ours.bvh");
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 1;
+    fs::write(directory.join("damaged.bvh"), damaged).unwrap();
+    bad(directory, &["room.obj", "--tree", "damaged.bvh"], &["damaged.bvh: ", "expected"]);
+    bad(directory, &["room.obj", "--tree", "missing.bvh"], &["missing.bvh"]);
+    bad(directory, &["room.obj", "--tree", "own.rays"], &["own.rays: "]);
+    let frames = ["room.obj", "room.obj", "--tree", "ours.bvh", "--savetrace=frames"];
+    bad(directory, &frames, &["a tree is planted in one scene, not in frames"]);
+}

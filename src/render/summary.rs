@@ -1,6 +1,7 @@
 //! What is said at the end of a run, for people and for machines.
 
 use crate::format::rays::{Purpose, Totals};
+use crate::plant::PlantedLine;
 use crate::render::camera::View;
 use crate::render::job::Job;
 use crate::render::lights::Lights;
@@ -29,6 +30,9 @@ pub struct Summary {
     pub refused: u64,
     pub seconds: Seconds,
     pub queries_per_second: f64,
+    /// The tree that was traversed in place of Embree's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub planted: Option<PlantedLine>,
     pub tree: Option<TreeLine>,
     pub rays: Option<RaysLine>,
     /// Of a sequence: each frame; everything else is then of the first frame, or the sum over all.
@@ -183,6 +187,7 @@ impl Summary {
             refused: 0,
             seconds: Seconds::default(),
             queries_per_second: 0.0,
+            planted: None,
             tree: None,
             rays: None,
             frames: Vec::new(),
@@ -234,6 +239,13 @@ impl fmt::Display for Summary {
             f,
             "seconds  read {read:.3}, build {build:.3}, tree {tree:.3}, camera {frame:.3}, render {render:.3}"
         )?;
+        if let Some(planted) = &self.planted {
+            let PlantedLine { path, nodes, blocks, width, seconds, .. } = planted;
+            writeln!(
+                f,
+                "planted  {path}: {nodes} nodes of up to {width} children, {blocks} blocks, in {seconds:.3} s"
+            )?;
+        }
         if let Some(tree) = &self.tree {
             let TreeLine { path, bytes, producer, nodes, leaves, depth, max_children, max_leaf, sah_cost } =
                 tree;

@@ -10,6 +10,7 @@ use embree_trace::format::rays::Codec;
 use embree_trace::geometry::Vec3;
 use embree_trace::mesh;
 use embree_trace::mesh::obj::Options;
+use embree_trace::plant::{self, plant_file};
 use embree_trace::progress::Progress;
 use embree_trace::render::camera::parse_view;
 use embree_trace::render::film::ImageKind;
@@ -37,6 +38,9 @@ Examples:
   Only a picture, or nothing but the time it takes:
     embree-trace bunny.ply --integrator ao --spp 16 --output bunny.png
     embree-trace bunny.ply --integrator ao --spp 16
+
+  Trace a tree of our own in place of Embree's, and record it, too:
+    embree-trace sponza.obj --tree ours.bvh --savetrace casts.rays planted.bvh
 
   Record a moving mesh, a pair of files a frame; Embree refits its tree from frame to frame, or builds anew:
     embree-trace walk_*.obj --savetrace walk
@@ -113,6 +117,10 @@ struct Arguments {
     /// Embree's structure by name, such as bvh4.triangle4v or qbvh8.triangle4
     #[arg(long, value_name = "NAME")]
     tri_accel: Option<String>,
+    /// Plants the tree of a .bvh of this scene: Embree's kernels traverse it in place of their own. What is no tree for this scene is left
+    /// out, with a warning
+    #[arg(long, value_name = "BVH")]
+    tree: Option<PathBuf>,
     /// Keeps faces of four corners as Embree quads
     #[arg(long)]
     quads: bool,
@@ -284,6 +292,12 @@ fn plan(arguments: &Arguments) -> Result<Plan<'_>, Failure> {
         fov_degrees: arguments.fov,
     };
     wishes.check()?;
+    if let Some(path) = arguments.tree.as_deref().filter(|_| arguments.scene.len() > 1) {
+        return Err(Failure::new(format!(
+            "{}: a tree is planted in one scene, not in frames",
+            path.display()
+        )));
+    }
     let image = match arguments.output.as_deref() {
         Some(path) if arguments.scene.len() > 1 => {
             return Err(Failure::new(format!(
@@ -362,7 +376,13 @@ fn trace_one(arguments: &Arguments, plan: Plan) -> Result<Summary, Failure> {
     // A path that cannot be written is known before the work, and the work's result never lost for it.
     let image =
         image.map(|(path, kind)| Ok::<_, FileError>((path, kind, OutputFile::create(path)?))).transpose()?;
-    let scene = Scene::new(&mesh, &settings)?;
+    let mut scene = Scene::new(&mesh, &settings)?;
+    if let Some(path) = &arguments.tree {
+        match plant_file(&mut scene, path)? {
+            plant::Outcome::Planted(line) => summary.planted = Some(line),
+            plant::Outcome::LeftOut(warning) => summary.warnings.push(warning),
+        }
+    }
     let (triangles, _) = scene.triangles();
     summary.seconds.build = lap();
 
