@@ -90,7 +90,7 @@ assert_same_layout!(
     (mask, mask),
     (kind, kind),
     (flags, flags),
-    (reserved, reserved)
+    (instance_mask, instance_mask)
 );
 const _: () = assert!(flag::SPATIAL_SPLITS == SHIM_FILE_SPLITS && flag::FLATTENED == SHIM_FILE_FLATTENED);
 const _: () = assert!(size_of::<Triangle>() == 9 * size_of::<f32>());
