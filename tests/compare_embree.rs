@@ -2,6 +2,7 @@
 //! others, by every traversal.
 #![cfg(feature = "embree")]
 
+mod compare_judge;
 mod compare_support;
 
 use compare_support::*;

@@ -3,7 +3,6 @@
 use super::{Comparison, RecordingResult, Run, kind_name};
 use crate::format::rays::{NO_DEPTH, NO_PATH, Purpose, Record};
 use crate::replay::Mismatch;
-use crate::replay::check::T_TOLERANCE;
 use crate::replay::pixels::ImageSize;
 use std::fmt::Write;
 
@@ -75,7 +74,7 @@ fn describe(mismatch: &Mismatch, image: Option<ImageSize>) -> String {
         (Some(hit), true) => format!("occluded by triangle {} at t {}", hit.triangle, hit.t),
         (Some(hit), false) => format!("triangle {} at t {}", hit.triangle, hit.t),
     };
-    let _ = write!(text, "): recorded {recorded}, found {found} (tolerance {T_TOLERANCE:e})");
+    let _ = write!(text, "): recorded {recorded}, found {found}");
     text
 }
 
