@@ -112,8 +112,8 @@ typedef struct ShimGeometry {
   uint32_t triangle_count;
   uint32_t mask;
   uint32_t kind; /* 0 triangles, 1 quads */
-  uint32_t flags; /* 1: it moves */
-  uint32_t instance_mask; /* where flags say that it counts */
+  uint32_t flags; /* 1: it moves; 2: instance_mask counts */
+  uint32_t instance_mask;
 } ShimGeometry;
 
 /* What a `.bvh` holds, borrowed for a call. Nothing in it is believed: every index, box and triangle is checked. */
