@@ -25,6 +25,17 @@ impl Triangle {
         self.0.iter().all(|vertex| vertex.is_finite())
     }
 
+    /// Twice the area, in double precision: in single, that of a needle far from the origin is lost.
+    pub fn double_area(&self) -> f64 {
+        let [a, b, c] = self.0.map(|vertex| vertex.as_dvec3());
+        (b - a).cross(c - a).length()
+    }
+
+    /// Whether a ray could hit it: it is finite, and no segment or point.
+    pub fn has_area(&self) -> bool {
+        self.is_finite() && self.double_area() > 0.0
+    }
+
     /// Mean of the three vertices.
     pub fn centroid(&self) -> Vec3 {
         (self.0[0] + self.0[1] + self.0[2]) / 3.0

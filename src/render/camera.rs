@@ -26,6 +26,14 @@ pub enum CameraError {
     NoDirection,
     #[error("camera: up is zero or points along the line of sight; give another as the third triple")]
     NoUp,
+    #[error(
+        "the scene is too large for a camera to be chosen, which must stand below 1e15: scale it down, or give --camera"
+    )]
+    SceneRange,
+    #[error(
+        "no triangle of the scene has an area, so there is nothing that a camera could be chosen for: give --camera"
+    )]
+    NothingToSee,
     #[error("field of view {0}: expected degrees, at least 0.01 and at most 175")]
     FieldOfView(f32),
 }

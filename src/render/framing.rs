@@ -1,39 +1,32 @@
 //! A camera and lights for a scene that says nothing about them.
 //!
-//! Everything is decided by asking rays. A scene is an *interior* when most of its triangles are hidden from outside and there is free,
-//! enclosed space: then the camera stands in it at eye height, away from walls, and looks along the longest free way that
-//! shows much. Otherwise it stands outside, far enough to see all, on the side that shows most (a box with an open side is
-//! looked into).
+//! Everything is decided by asking rays. Where there is a room ([`interior`]: free, enclosed space in which things stand), the camera stands
+//! in it at eye height, away from walls, and looks along the longest free way that shows much. Otherwise it stands outside, far enough to
+//! see all, on the side that shows most (a box with an open side is looked into); where all is too small to be seen from there, it goes
+//! to a part ([`closer`]). Either view is looked through with a few rays before it is chosen.
 
+mod closer;
+mod interior;
 #[cfg(feature = "embree")]
 pub mod lighting;
+#[cfg(test)]
+mod tests;
 
 use crate::geometry::{Aabb, Ray, Triangle, Vec3};
 use crate::render::camera::{Camera, View};
-use crate::render::sampler::Sampler;
 use std::collections::HashSet;
 use std::f32::consts::{PI, TAU};
 
-/// Height of the image in degrees, when nobody chose.
+/// Height of the image in degrees for a view from outside, when nobody chose.
 const OUTSIDE_FOV: f32 = 40.0;
-const INSIDE_FOV: f32 = 60.0;
 /// Rays of a glimpse: the small image by which views are compared.
 const GLIMPSE: [u32; 2] = [32, 24];
 /// Directions of the sphere or the horizon that are asked from a point.
 const DIRECTIONS: u32 = 64;
-/// Triangles that are asked whether they are seen from outside.
-const SURFACE_SAMPLES: u32 = 512;
-/// Below this share of free directions over the sphere, the surfaces are those of an interior. A convex solid has a half.
-const INTERIOR_OPENNESS: f32 = 0.2;
-/// From a point inside, this share of all directions meets something. An atrium without a roof has about 0.8.
-const ENCLOSED: f32 = 0.65;
 /// Nearer than this share of the diagonal, things are in the way of a view.
 const CLOSE: f32 = 0.1;
-/// A view from inside is at least this share of the diagonal long. In a tangle there is none.
-const MIN_LENGTH: f32 = 0.15;
-/// Places that a camera inside may stand, and how many of the best are looked from.
-const PLACES: u32 = 512;
-const FINALISTS: usize = 40;
+/// A view from outside in which a smaller share of rays hits shows too little.
+const LEAST_COVERED: f32 = 0.03;
 
 /// Directions of a scene, all of length 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -161,15 +154,14 @@ struct Glimpse {
 impl<'a, Q: Sight> Framing<'a, Q> {
     /// `bounds` are [`main_bounds`] of the triangles.
     pub fn new(queries: &'a mut Q, triangles: &'a [Triangle], bounds: Aabb, axes: Axes) -> Framing<'a, Q> {
-        let size = bounds.extent().length().max(f32::MIN_POSITIVE);
+        let size = bounds.extent().length().max(smallest(&bounds));
         Framing { queries, triangles, bounds, axes, size }
     }
 
-    /// A view that shows the scene: from inside when it is an interior.
+    /// A view that shows the scene: from inside when there is a room.
     pub fn view(&mut self, fov_degrees: Option<f32>, aspect: f32) -> View {
-        let inside =
-            if self.openness() < INTERIOR_OPENNESS { self.inside(fov_degrees, aspect) } else { None };
-        inside.unwrap_or_else(|| self.outside(fov_degrees, aspect))
+        let outside = self.outside(fov_degrees, aspect);
+        self.inside(&outside, fov_degrees, aspect).unwrap_or(outside)
     }
 
     fn distance(&mut self, origin: Vec3, direction: Vec3) -> Option<f32> {
@@ -177,32 +169,10 @@ impl<'a, Q: Sight> Framing<'a, Q> {
         self.queries.first(&ray).map(|seen| seen.t)
     }
 
-    /// Mean share of the sphere around a triangle in which nothing hides it, over triangles at regular steps of their numbers: so
-    /// the many small ones of what stands in a room outvote its walls.
-    fn openness(&mut self) -> f32 {
-        let count = self.triangles.len().min(SURFACE_SAMPLES as usize);
-        let (mut free, mut asked) = (0, 0);
-        for number in 0..count {
-            let triangle = self.triangles[number * self.triangles.len() / count];
-            let normal = triangle.scaled_normal().normalize_or_zero();
-            if !triangle.is_finite() || normal == Vec3::ZERO {
-                continue;
-            }
-            for direction in 0..DIRECTIONS {
-                let direction = sphere_direction(direction, number as u32);
-                let side = if direction.dot(normal) < 0.0 { -normal } else { normal };
-                let origin = triangle.centroid() + side * (1e-4 * self.size);
-                asked += 1;
-                free += u32::from(self.distance(origin, direction).is_none());
-            }
-        }
-        if asked == 0 { 1.0 } else { free as f32 / asked as f32 }
-    }
-
     /// Share of all directions in which something is met from a point.
     fn enclosure(&mut self, point: Vec3) -> f32 {
         let hits = (0..DIRECTIONS)
-            .filter(|&direction| self.distance(point, sphere_direction(direction, 0)).is_some())
+            .filter(|&direction| self.distance(point, sphere_direction(direction, DIRECTIONS, 0)).is_some())
             .count();
         hits as f32 / DIRECTIONS as f32
     }
@@ -243,10 +213,17 @@ impl<'a, Q: Sight> Framing<'a, Q> {
         })
     }
 
-    /// The view from outside that shows most triangles, with a preference for one from the front, a little from above.
+    /// The view from outside that shows most triangles, with a preference for one from the front, a little from above. Where it shows next to
+    /// nothing, the scene is small in its own bounds, and the view is of a part.
     fn outside(&mut self, fov_degrees: Option<f32>, aspect: f32) -> View {
         let fov_degrees = fov_degrees.unwrap_or(OUTSIDE_FOV);
-        let mut best: Option<(f32, View)> = None;
+        let (covered, view) = self.around(&self.bounds.clone(), fov_degrees, aspect);
+        if covered >= LEAST_COVERED { view } else { self.closer((covered, view), fov_degrees, aspect) }
+    }
+
+    /// The best view of a box from outside, and the share of its rays that hit.
+    fn around(&mut self, bounds: &Aabb, fov_degrees: f32, aspect: f32) -> (f32, View) {
+        let mut best: Option<(f32, f32, View)> = None;
         for (preference, azimuth, elevation) in [
             (1.0, 30.0, 20.0),
             (0.98, -30.0, 20.0),
@@ -260,31 +237,35 @@ impl<'a, Q: Sight> Framing<'a, Q> {
         ] {
             let (azimuth, elevation): (f32, f32) = (azimuth, elevation);
             let towards = self.axes.direction(azimuth.to_radians(), elevation.to_radians());
-            let view = self.fit(towards, fov_degrees, aspect);
+            let view = self.fit(bounds, towards, fov_degrees, aspect);
             if let Some(glimpse) = self.glimpse(&view, aspect) {
                 let score =
                     preference * libm::logf(1.0 + glimpse.distinct as f32) * (0.5 + glimpse.covered).min(1.0);
-                if best.is_none_or(|(other, _)| score > other) {
-                    best = Some((score, view));
+                if best.is_none_or(|(other, ..)| score > other) {
+                    best = Some((score, glimpse.covered, view));
                 }
             }
         }
-        best.map_or_else(|| self.fit(self.axes.front, fov_degrees, aspect), |(_, view)| view)
+        best.map_or_else(
+            || (0.0, self.fit(bounds, self.axes.front, fov_degrees, aspect)),
+            |(_, covered, view)| (covered, view),
+        )
     }
 
-    /// The nearest view along `-towards` with all corners of the bounds in the image.
-    fn fit(&self, towards: Vec3, fov_degrees: f32, aspect: f32) -> View {
+    /// The nearest view along `-towards` with all corners of a box in the image.
+    fn fit(&self, bounds: &Aabb, towards: Vec3, fov_degrees: f32, aspect: f32) -> View {
         let up = self.axes.up;
         let side = up.cross(towards).normalize();
         let down = side.cross(towards);
         let margin = 0.94;
         let half_height = libm::tanf(fov_degrees.to_radians() / 2.0) * margin;
         let half_width = half_height * aspect;
-        let centre = self.bounds.center();
-        let mut distance = 0.05 * self.size;
+        let centre = bounds.center();
+        // Far enough to be told from its target.
+        let mut distance = (0.05 * bounds.extent().length()).max(0.25 * smallest(&self.bounds));
         for corner in 0..8 {
             let pick = |axis: usize| {
-                let bound = if corner >> axis & 1 == 0 { self.bounds.lower } else { self.bounds.upper };
+                let bound = if corner >> axis & 1 == 0 { bounds.lower } else { bounds.upper };
                 bound[axis] - centre[axis]
             };
             let corner = Vec3::new(pick(0), pick(1), pick(2));
@@ -293,90 +274,18 @@ impl<'a, Q: Sight> Framing<'a, Q> {
         }
         View { eye: centre + towards * distance, target: centre, up, fov_degrees }
     }
-
-    /// The best view from a free, enclosed place; `None` when there is no such place.
-    fn inside(&mut self, fov_degrees: Option<f32>, aspect: f32) -> Option<View> {
-        let fov_degrees = fov_degrees.unwrap_or(INSIDE_FOV);
-        let mut places: Vec<(f32, Vec3, f32)> = Vec::new();
-        for number in 0..PLACES {
-            if let Some(place) = self.place(number) {
-                places.push(place);
-            }
-        }
-        // The order of equal ones is that of their numbers: the sort is stable.
-        places.sort_by(|a, b| b.0.total_cmp(&a.0));
-        places.truncate(FINALISTS);
-        let mut best: Option<(f32, View)> = None;
-        for (length, eye, azimuth) in places {
-            let target = eye + self.axes.direction(azimuth, -0.06) * (0.1 * self.size);
-            let view = View { eye, target, up: self.axes.up, fov_degrees };
-            let Some(glimpse) = self.glimpse(&view, aspect) else { continue };
-            // In a tangle everything is in the way.
-            if glimpse.obstructed > 0.4 {
-                continue;
-            }
-            // Much to see, and nothing in front of it.
-            let score = 1.5 * glimpse.edges.min(0.5) + 0.1 * libm::logf(1.0 + glimpse.distinct as f32)
-                - 3.0 * glimpse.obstructed
-                - glimpse.backs
-                + glimpse.covered
-                + (length / self.size).min(0.6);
-            if best.is_none_or(|(other, _)| score > other) {
-                best = Some((score, view));
-            }
-        }
-        best.map(|(_, view)| view)
-    }
-
-    /// A place to stand: how far and freely one sees from there, the eye, and the direction of the longest view.
-    fn place(&mut self, number: u32) -> Option<(f32, Vec3, f32)> {
-        let sampler = Sampler::new(0, 0, number);
-        let [x, y] = sampler.pair(0);
-        let inner = |f: f32| 0.04 + 0.92 * f;
-        let fraction = Vec3::new(inner(x), inner(y), inner(sampler.single(1)));
-        let point = self.bounds.lower + fraction * self.bounds.extent();
-        let up = self.axes.up;
-        let below = self.distance(point, -up)?;
-        let floor = point - up * below;
-        let top = if up.element_sum() > 0.0 { self.bounds.upper } else { self.bounds.lower };
-        let above = self.distance(point, up).unwrap_or_else(|| (top - point).dot(up).abs());
-        let extent = self.bounds.extent();
-        let wide = (extent - extent * up.abs()).max_element();
-        let clearance = below + above;
-        let eye = floor + up * (0.45 * clearance).min(0.15 * wide);
-
-        let horizon: Vec<f32> = (0..DIRECTIONS)
-            .map(|i| {
-                let azimuth = TAU * i as f32 / DIRECTIONS as f32;
-                self.distance(eye, self.axes.direction(azimuth, 0.0)).unwrap_or(0.5 * wide)
-            })
-            .collect();
-        let nearest = horizon.iter().copied().fold(f32::INFINITY, f32::min);
-        if nearest < 0.015 * self.size || clearance < 0.03 * self.size || self.enclosure(eye) < ENCLOSED {
-            return None;
-        }
-        // A long view is one that is long to both sides of its middle, too.
-        let count = horizon.len();
-        let (direction, length) = (0..count)
-            .map(|i| {
-                let window = (0..7).map(|k| libm::logf(horizon[(i + count + k - 3) % count]));
-                (i, libm::expf(window.sum::<f32>() / 7.0))
-            })
-            .max_by(|a, b| a.1.total_cmp(&b.1))?;
-        if length < MIN_LENGTH * self.size {
-            return None;
-        }
-        // Away from walls, and on the floor of the room rather than on a table or under it.
-        let freedom = (nearest / (0.05 * self.size)).min(1.0);
-        let height = (clearance / (extent * up).element_sum().abs()).min(1.0).sqrt();
-        Some((length * freedom * height, eye, TAU * direction as f32 / count as f32))
-    }
 }
 
-/// Direction `index` of [`DIRECTIONS`] spread evenly over the sphere (a Fibonacci lattice), turned by `turn`.
-fn sphere_direction(index: u32, turn: u32) -> Vec3 {
+/// The smallest size that can be looked at among coordinates such as those of a box: many times what they are rounded by.
+fn smallest(bounds: &Aabb) -> f32 {
+    let largest = bounds.lower.abs().max(bounds.upper.abs()).max_element();
+    (64.0 * f32::EPSILON * largest).max(1e6 * f32::MIN_POSITIVE)
+}
+
+/// Direction `index` of `count` spread evenly over the sphere (a Fibonacci lattice), turned by `turn`.
+fn sphere_direction(index: u32, count: u32, turn: u32) -> Vec3 {
     const GOLDEN: f32 = 0.618_034;
-    let z = 1.0 - (2.0 * index as f32 + 1.0) / DIRECTIONS as f32;
+    let z = 1.0 - (2.0 * index as f32 + 1.0) / count as f32;
     let angle = TAU * ((index as f32 * GOLDEN).fract() + turn as f32 * 0.137) + PI * 0.01;
     let radius = (1.0 - z * z).max(0.0).sqrt();
     Vec3::new(radius * libm::cosf(angle), z, radius * libm::sinf(angle))

@@ -59,7 +59,7 @@ impl Scenery {
     /// Chooses what the wishes leave open by asking the scene. `triangles` are the mesh's; the image is `width` × `height`.
     ///
     /// # Errors
-    /// When the wishes make no camera.
+    /// When the wishes make no camera, or leave it open where none can be chosen.
     pub fn new<Q: RayQueries>(
         mesh: &Mesh,
         triangles: Vec<Triangle>,
@@ -81,11 +81,17 @@ impl Scenery {
                 up: wishes.up.unwrap_or(axes.up),
                 fov_degrees: wishes.fov_degrees.unwrap_or(DEFAULT_FOV),
             },
+            None if !triangles.iter().any(Triangle::has_area) => return Err(CameraError::NothingToSee),
             None => framing.view(wishes.fov_degrees, width as f32 / height as f32),
         };
         let finite = triangles.iter().filter(|triangle| triangle.is_finite());
         let all = finite.fold(Aabb::EMPTY, |all, triangle| all.union(&triangle.bounds()));
-        let camera = Camera::new(&view, width, height)?.facing(&all);
+        let camera = Camera::new(&view, width, height).map_err(|error| match wishes.eye_and_target {
+            // Nobody gave what it speaks of.
+            None if error == CameraError::Range => CameraError::SceneRange,
+            _ => error,
+        })?;
+        let camera = camera.facing(&all);
         let appearances = Appearance::of_parts(mesh);
         let mut lights = Lights::from_emission(mesh, triangles, &appearances);
         if !lights.has_emitters() {
