@@ -29,10 +29,10 @@ struct Arguments {
     output: PathBuf,
     /// How fine: courtyard: triangles grow with its square (1: 5 thousand, 18: a million, 56: ten million);
     /// quads: cells along a side; slivers: needles; all others: triangles
-    #[arg(long)]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=LARGEST as i64))]
     detail: Option<u32>,
     /// How fine, as about so many triangles
-    #[arg(long, conflicts_with = "detail")]
+    #[arg(long, value_name = "N", conflicts_with = "detail", value_parser = clap::value_parser!(u32).range(1..))]
     triangles: Option<u32>,
     /// Frames of a scene that moves (twist, burst, cloth, crossing), each with its number before the .obj; 1 is the first one alone
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
@@ -44,6 +44,9 @@ struct Arguments {
     #[arg(long, value_enum, default_value_t = TextOrJson::Text)]
     format: TextOrJson,
 }
+
+/// The largest detail of any scene.
+const LARGEST: u32 = 200_000_000;
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Scene {
@@ -70,9 +73,9 @@ impl Scene {
         match self {
             Scene::Courtyard => (4, 400),
             Scene::Quads => (16, 10_000),
-            Scene::Slivers => (600, 200_000_000),
-            Scene::Twist | Scene::Burst | Scene::Cloth | Scene::Crossing => (100_000, 200_000_000),
-            Scene::CornellBox | Scene::Coincident | Scene::Terrain | Scene::Soup => (1_000_000, 200_000_000),
+            Scene::Slivers => (600, LARGEST),
+            Scene::Twist | Scene::Burst | Scene::Cloth | Scene::Crossing => (100_000, LARGEST),
+            Scene::CornellBox | Scene::Coincident | Scene::Terrain | Scene::Soup => (1_000_000, LARGEST),
         }
     }
 
@@ -110,8 +113,13 @@ fn main() -> ExitCode {
         let (default, largest) = arguments.scene.detail();
         let asked = arguments.triangles.map(|triangles| arguments.scene.detail_for(triangles));
         let detail = arguments.detail.or(asked).unwrap_or(default);
-        if !(1..=largest).contains(&detail) {
-            return Err(Failure::new(format!("--detail {detail}: expected 1 to {largest} for this scene")));
+        if detail > largest {
+            return Err(Failure::new(match arguments.triangles {
+                Some(triangles) => {
+                    format!("--triangles {triangles}: so many are more than this scene can have")
+                }
+                None => format!("--detail {detail}: expected 1 to {largest} for this scene"),
+            }));
         }
         if arguments.frames > 1 && !arguments.scene.moves() {
             return Err(Failure::new("--frames is for scenes that move: twist, burst, cloth, crossing"));

@@ -7,8 +7,8 @@ use std::str::FromStr;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use thiserror::Error;
 
-/// Most pixels of an image: 16 bytes each, so half a gigabyte.
-const MOST_PIXELS: u64 = 1 << 25;
+/// Most pixels of an image, as many as `embree-trace` renders: 16 bytes each, so a gigabyte.
+const MOST_PIXELS: u64 = 1 << 26;
 
 /// Width and height of the traced image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -18,7 +18,7 @@ pub struct ImageSize {
 }
 
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
-#[error("image size {width}x{height}: expected 1x1 to 33554432 pixels")]
+#[error("image size {width}x{height}: expected 1 to {MOST_PIXELS} pixels")]
 pub struct SizeError {
     width: u32,
     height: u32,

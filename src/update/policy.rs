@@ -82,7 +82,7 @@ pub enum PolicyError {
     Build(#[from] RecipeError),
     #[error(transparent)]
     Optimize(#[from] OptimizeError),
-    #[error("rotations by rays need the recording of the frame before")]
+    #[error("rotations by rays need the recording of the frame before: give it with --rays")]
     NoRays,
 }
 
