@@ -270,7 +270,7 @@ impl Contest<'_> {
     }
 
     fn selection(filter: Filter) -> Selection {
-        Selection { scene: 0, filter, portion: PORTION, most: MOST_TRAINING }
+        Selection { scene: None, filter, portion: PORTION, most: MOST_TRAINING }
     }
 
     fn chosen(&self, rays: &Rays, filter: Filter) -> Result<auto::Chosen, Box<dyn Error>> {

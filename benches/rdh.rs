@@ -38,7 +38,7 @@ fn main() {
 
 fn compare(path: &Path) -> Result<(), Box<dyn std::error::Error>> {
     let (bvh, rays) = (MappedFile::open(path)?, MappedFile::open(&path.with_extension("rays"))?);
-    let trace = Trace::new(&Bvh::parse(&bvh)?, &Rays::parse(&rays)?, u64::MAX, 1)?;
+    let trace = Trace::new(&Bvh::parse(&bvh)?, &Rays::parse(&rays)?, None, u64::MAX, 1)?;
     println!("{}: {} triangles, {} queries", path.display(), trace.triangles.len(), trace.queries.len());
     let sets = QUERIES.map(|most| {
         let count = most.min(trace.queries.len());

@@ -17,6 +17,7 @@ use crate::replay::check::Judge;
 use crate::replay::pixels::ImageSize;
 use crate::replay::profile::Levels;
 use crate::replay::query::Choice;
+use crate::replay::scene::{self, SceneError, Scenes};
 use crate::replay::sort::Sort;
 use crate::replay::tally::{Costs, Tally};
 use crate::replay::{self, Outcome};
@@ -36,6 +37,8 @@ pub struct Candidate<'a> {
 pub struct Recording<'a> {
     pub path: String,
     pub rays: &'a Rays<'a>,
+    /// Number of the scene that the trees are of; see [`check_scenes`].
+    pub scene: u16,
     /// Size of the traced image, where it is known.
     pub image: Option<ImageSize>,
 }
@@ -48,7 +51,7 @@ pub struct Settings {
     /// Of depth-first occlusion queries; `None` is what each tree has recorded, else nearest first.
     pub occlusion_order: Option<OrderName>,
     pub costs: Costs,
-    /// Of each recording.
+    /// Of each recording, whose own scene it is.
     pub choice: Choice,
     /// Whether to sum costs per pixel, of recordings whose image's size is known.
     pub pixels: bool,
@@ -130,6 +133,8 @@ pub struct RecordingResult {
     pub fingerprint: u64,
     /// 31305 for 3.13.5; 0 when not recorded from Embree.
     pub embree_version: u32,
+    /// Number of the scene that was replayed.
+    pub scene: u16,
     /// In the file, before any filter.
     pub queries: u64,
     pub image: Option<ImageSize>,
@@ -170,6 +175,8 @@ pub enum CompareError {
     )]
     OtherScene { path: String, found: u64, other: String, expected: u64 },
     #[error("{path}: {source}")]
+    Scene { path: String, source: SceneError },
+    #[error("{path}: {source}")]
     File { path: String, source: FormatError },
     #[error("{path}: {source}")]
     Order { path: String, source: OrderError },
@@ -179,15 +186,17 @@ pub enum CompareError {
     Rank(#[from] RankFailed),
 }
 
-/// Checks that all belong to one scene. Returns a warning when the rays do not say to which they belong.
+/// Checks that all belong to one scene. Returns its number in the recording, and a warning when the
+/// rays do not say to which they belong.
 ///
 /// # Errors
-/// Naming both fingerprints.
+/// Naming both fingerprints, or both numbers; see also [`Scenes::of_trees`].
 pub fn check_scenes(
     trees: &[Candidate],
     rays_path: &str,
     rays: &Rays,
-) -> Result<Option<String>, CompareError> {
+    asked: Option<u16>,
+) -> Result<(u16, Option<String>), CompareError> {
     let recorded = rays.header.fingerprint;
     let (other, expected) = match trees.first() {
         Some(first) if recorded == 0 => (first.path.clone(), first.bvh.header.fingerprint),
@@ -199,9 +208,18 @@ pub fn check_scenes(
             return Err(CompareError::OtherScene { path: tree.path.clone(), found, other, expected });
         }
     }
-    Ok((recorded == 0).then(|| {
+    let scenes = Scenes::of(rays);
+    let of_trees: Vec<&Bvh> = trees.iter().map(|tree| tree.bvh).collect();
+    let number = scenes
+        .of_trees(&of_trees, asked)
+        .map_err(|source| CompareError::Scene { path: rays_path.to_owned(), source })?;
+    // Of several scenes no fingerprint can be said, and a tree that names its own is taken at its
+    // word.
+    let is_named = scenes.numbers.len() > 1 && of_trees.iter().all(|bvh| scene::named(bvh).is_some());
+    let warning = (recorded == 0 && !is_named).then(|| {
         format!("{rays_path}: does not say of which scene it is (fingerprint 0); it is taken to be of these trees'")
-    }))
+    });
+    Ok((number, warning))
 }
 
 /// Replays every recording over every tree in every order. The caller has called [`check_scenes`].
@@ -240,7 +258,7 @@ pub fn compare(
                 let options = replay::Options {
                     traversal,
                     occlusion_order: order.clone(),
-                    choice: settings.choice.clone(),
+                    choice: Choice { scene: recording.scene, ..settings.choice.clone() },
                     overlap: index == overlap_run,
                     costs: settings.costs,
                     sort: settings.sort,
@@ -281,7 +299,7 @@ fn replay_all(
         let why = if rays.query_count() == 0 {
             "; the recording is empty"
         } else {
-            "; --filter, --held-out, --sample or --scene leave none"
+            "; --filter, --held-out or --sample leave none"
         };
         return Err(CompareError::NoQueries { path: path.clone(), why });
     }
@@ -320,6 +338,7 @@ impl RecordingResult {
             producer: header.producer.clone(),
             fingerprint: header.fingerprint,
             embree_version: header.embree_version,
+            scene: recording.scene,
             queries: recording.rays.query_count(),
             image: recording.image,
             trees: Vec::new(),

@@ -22,12 +22,13 @@ pub mod trees;
 
 pub use kinds::Kind;
 pub use losses::Losses;
-pub use queries::{Selection, Sink, Source, copy};
+pub use queries::{Selection, Sink, Source, copy, scenes};
 pub use summary::Summary;
 
 use self::parquet::{ParquetSink, ParquetSource};
 use crate::format::FormatError;
 use crate::format::rays::{Codec, Header, Rays};
+use crate::replay::scene::SceneError;
 use bytes::Bytes;
 use lines::LinesSink;
 use npy::{NpySink, NpySource};
@@ -54,9 +55,9 @@ pub enum ConvertError {
     /// The output cannot be written.
     #[error(transparent)]
     Output(#[from] io::Error),
-    /// The recording's fingerprint is not the tree's.
-    #[error("the tree is of another scene (fingerprint {tree:016x}) than the queries ({queries:016x})")]
-    OtherScene { tree: u64, queries: u64 },
+    /// The tree is not of the scene of the queries.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
 }
 
 /// The queries of a file of the given format.

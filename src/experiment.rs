@@ -25,6 +25,7 @@ use crate::optimize::OptimizeError;
 use crate::probability::blend::WeightError;
 use crate::probability::shrunk::StrengthError;
 use crate::recipe::RecipeError;
+use crate::replay::select::NEIGHBOURS;
 use crate::tree::TreeView;
 use crate::update::UpdateError;
 use crate::update::policy::PolicyError;
@@ -48,8 +49,18 @@ pub struct Settings {
 pub enum ExperimentError {
     #[error(transparent)]
     Build(#[from] BuildError),
-    #[error("{found} pixels or queries are too few: at least {least} are needed; record a larger image")]
+    #[error(
+        "{found} pixels are too few: at least {least} are needed; record a larger image (where pixels are not known, {NEIGHBOURS} \
+         queries in a row count as one)"
+    )]
     TooFew { found: usize, least: usize },
+    #[error(
+        "the {queries} queries are of {pixels} pixels (where these are not known, {NEIGHBOURS} queries in a row count as one), \
+         which --seed {seed} does not part into {}% to build from and the others to count on: all are to {side}; record a \
+         larger image, or try another --seed",
+        100.0 * share
+    )]
+    OneSided { queries: usize, pixels: usize, share: f64, seed: u64, side: &'static str },
     #[error(transparent)]
     Trace(#[from] TraceError),
     #[error(transparent)]

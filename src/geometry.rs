@@ -25,7 +25,8 @@ impl Triangle {
         self.0.iter().all(|vertex| vertex.is_finite())
     }
 
-    /// Twice the area, in double precision: in single, that of a needle far from the origin is lost.
+    /// Twice the area, in double precision: in single, that of a needle far from the origin is
+    /// lost.
     pub fn double_area(&self) -> f64 {
         let [a, b, c] = self.0.map(|vertex| vertex.as_dvec3());
         (b - a).cross(c - a).length()

@@ -9,6 +9,7 @@ pub mod exact;
 pub mod pixels;
 pub mod profile;
 pub mod query;
+pub mod scene;
 pub mod select;
 pub mod sort;
 pub mod tally;

@@ -11,13 +11,15 @@ use crate::format::bvh::Bvh;
 use crate::format::rays::Rays;
 use crate::geometry::Ray;
 use crate::ranks::{RankFailed, Ranks, Share, even_part, gather_all};
+use crate::replay::scene::{SceneError, Scenes};
 use crate::replay::select::{Filter, Portion};
 use thiserror::Error;
 
 /// Which queries train.
 #[derive(Clone, Debug)]
 pub struct Selection {
-    pub scene: u16,
+    /// Number of the scene; without it, the one that the tree is of ([`Scenes::of_trees`]).
+    pub scene: Option<u16>,
     pub filter: Filter,
     pub portion: Portion,
     /// No more than this: of more, an even part in the file's order.
@@ -27,11 +29,11 @@ pub struct Selection {
 /// Why a recording cannot train a tree.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum TrainingError {
-    #[error(
-        "the queries are of scene {rays:016x}, the tree is of scene {tree:016x}: give the two files of one recording"
-    )]
-    OtherScene { rays: u64, tree: u64 },
-    #[error("no query is left to train with: the recording has {0}; widen --filter or --train")]
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    #[error("there is no query to train with: the recording is empty")]
+    Empty,
+    #[error("no query is left to train with: the scene has {0}; widen --filter or --train")]
     NoQueries(u64),
     #[error(transparent)]
     Format(#[from] FormatError),
@@ -40,16 +42,21 @@ pub enum TrainingError {
 }
 
 impl Selection {
+    /// The number of the scene whose queries are taken.
+    fn scene_of(&self, rays: &Rays, bvh: &Bvh) -> Result<u16, SceneError> {
+        Scenes::of(rays).of_trees(&[bvh], self.scene)
+    }
+
     /// The effective segments of the chosen queries, in the order of the file. Each of `ranks` gets a part of them: the parts one after
     /// another, in the order of ranks, are what one process would get.
     ///
     /// # Errors
     /// When the recording is of another scene than `bvh`, a chunk is damaged, no query is left, or another rank fails.
     pub fn read(&self, rays: &Rays, bvh: &Bvh, ranks: &dyn Ranks) -> Result<Segments, TrainingError> {
-        same_scene(rays, bvh)?;
+        let scene = self.scene_of(rays, bvh)?;
         let firsts = rays.first_queries();
         let chosen = rays.map_chunks_of(Share::of(ranks).piece(rays.chunks().len()), |index, chunk| {
-            if chunk.info.scene != self.scene {
+            if chunk.info.scene != scene {
                 return Vec::new();
             }
             let numbered = chunk.records.iter().zip(firsts[index]..);
@@ -62,9 +69,18 @@ impl Selection {
         let lengths = gather_all(ranks, own.len())?;
         let (before, all) = (lengths[..ranks.rank()].iter().sum(), lengths.iter().sum());
         if all == 0 {
-            return Err(TrainingError::NoQueries(rays.query_count()));
+            return Err(none_left(rays, scene));
         }
         Ok(Segments { own: even_part(&own, before, all, self.most), all: all.min(self.most) })
+    }
+}
+
+/// Why nothing is left of a scene's queries.
+fn none_left(rays: &Rays, scene: u16) -> TrainingError {
+    let own = rays.chunks().iter().filter(|chunk| chunk.info.scene == scene);
+    match own.map(|chunk| u64::from(chunk.records)).sum() {
+        0 => TrainingError::Empty,
+        queries => TrainingError::NoQueries(queries),
     }
 }
 
@@ -95,13 +111,4 @@ fn thin<T>(queries: &mut Vec<T>, most: usize) {
 /// At most `most` of `all`, evenly chosen.
 pub(crate) fn even<T: Clone>(all: &[T], most: usize) -> Vec<T> {
     even_part(all, 0, all.len(), most)
-}
-
-/// Refuses a recording that says that it is of another scene than `bvh`.
-fn same_scene(rays: &Rays, bvh: &Bvh) -> Result<(), TrainingError> {
-    let (of_rays, tree) = (rays.header.fingerprint, bvh.header.fingerprint);
-    if of_rays != 0 && of_rays != tree {
-        return Err(TrainingError::OtherScene { rays: of_rays, tree });
-    }
-    Ok(())
 }

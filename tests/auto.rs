@@ -5,11 +5,14 @@ mod compare_support;
 use compare_support::files::{rays_bytes, records, tree_bytes};
 use compare_support::*;
 use embree_trace::format::bvh::{self, Bvh, Contents, fingerprint};
-use embree_trace::format::rays::{Record, flag};
+use embree_trace::format::rays::{Rays, Record, flag};
 use embree_trace::geometry::{Ray, Triangle, Vec3};
 use embree_trace::progress::Progress;
 use embree_trace::recipe::auto::{self, Chosen, Scene};
 use embree_trace::recipe::{Recipe, RecipeError};
+use embree_trace::replay::query::Choice;
+use embree_trace::replay::select::{Filter, Portion};
+use embree_trace::training::Selection;
 use embree_trace::training::queries::Query;
 use embree_trace::traverse::{All, Counts, Prepared, PreparedRay, Scratch, Traversal};
 use embree_trace::tree::Tree;
@@ -71,6 +74,45 @@ fn cost(tree: &Tree, triangles: &[Triangle], queries: &[Query]) -> f64 {
         }
     }
     (counts.box_tests + counts.primitive_tests) as f64 / f64::from(judges)
+}
+
+/// What is no triangle ended a ray: the judges ask it up to there, as `bvh-compare` does, and meet
+/// nothing that stands behind.
+#[test]
+fn rays_end_at_what_is_no_triangle() {
+    let wall = Triangle([Vec3::new(-9.0, -9.0, 5.0), Vec3::new(9.0, -9.0, 5.0), Vec3::new(0.0, 9.0, 5.0)]);
+    let triangles = [wall];
+    let tree = random_tree(&triangles, 2, 1, &mut Random(1));
+    let file = tree_bytes(&triangles, &tree, None);
+    let bvh = Bvh::parse(&file).expect("valid");
+    // Along z from the origin: the wall is met at 5, a curve was met at 2.
+    let record = Record {
+        tfar: f32::INFINITY,
+        direction: Vec3::Z,
+        mask: u32::MAX,
+        t: 2.0,
+        triangle: u32::MAX,
+        flags: flag::HIT | flag::UNDECIDED,
+        ..bytemuck::Zeroable::zeroed()
+    };
+    let rays = rays_bytes(fingerprint(&triangles), &[record], &[], 1);
+    let rays = Rays::parse(&rays).expect("valid");
+    let portion = Portion { share: 1.0, seed: 1 };
+    let selection = Selection { scene: None, filter: Filter::default(), portion, most: 9 };
+    let read = embree_trace::training::queries::read(&selection, &rays, &bvh).expect("a query");
+    let prepared = Prepared::new(bvh.tree, bvh.triangles, bvh.geometries);
+    let hit = |ray: &Ray| {
+        let (ray, mut scratch) = (PreparedRay::new(ray), Scratch::default());
+        prepared.closest_hit(Traversal::Odf, &ray, &All, &mut (), &mut scratch).map(|hit| hit.t)
+    };
+    assert_eq!(hit(&record.ray()), Some(5.0), "as it was asked, it would go on to the wall");
+    assert_eq!((read.len(), read[0].ray.tfar, hit(&read[0].ray)), (1, 2.0, None));
+    let choice = Choice { scene: 0, filter: Filter::default(), held_out: None, sample: None };
+    let mut compared = Vec::new();
+    choice
+        .for_each_chunk(&rays, |queries| compared.extend(queries.iter().map(|query| query.ray)))
+        .expect("valid");
+    assert_eq!(compared, [read[0].ray]);
 }
 
 /// Rays that cross the scene in one direction only: the case for trees from rays.

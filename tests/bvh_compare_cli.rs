@@ -120,6 +120,84 @@ fn what_a_tree_was_trained_with_is_not_held_out() {
     files.refused(&["two.bvh", "casts.rays", "--held-out", "1.5"], &["--held-out"]);
 }
 
+/// Two scenes in one recording: every command takes the queries of the one that its tree is of, and
+/// refuses the other.
+#[test]
+fn of_a_recording_of_two_scenes_the_trees_own_is_taken() {
+    let files = Files::new();
+    let other = soup(300, 0.3, &mut Random(21));
+    let (first, first_rejects) = records(&files.triangles, 900, 31);
+    let (second, second_rejects) = records(&other, 500, 32);
+    let scenes: [(&[_], &[_]); 2] = [(&first, &first_rejects), (&second, &second_rejects)];
+    files.write("two.rays", &scenes_bytes(0, &scenes, 300));
+    let number = |scene: u16| format!("{{\"recorded\":{{\"number\":{scene}}}}}");
+    files.write("0.bvh", &bvh_bytes(&files.triangles, 2, 1, 1, Some(&number(0))));
+    files.write("1.bvh", &bvh_bytes(&other, 2, 1, 1, Some(&number(1))));
+    files.write("5.bvh", &bvh_bytes(&other, 2, 1, 1, Some(&number(5))));
+    files.write("silent.bvh", &bvh_bytes(&other, 4, 2, 2, None));
+    let run = |program: &str, words: &[&str]| {
+        let output = Command::new(program).args(words).current_dir(files.directory.path()).output();
+        let output = output.expect("running it");
+        (output.status.code(), text(&output.stdout), text(&output.stderr))
+    };
+    let refused = |program: &str, words: &[&str], expected: &str| {
+        let (code, _, said) = run(program, words);
+        assert_eq!((code, said.lines().count()), (Some(2), 1), "{words:?}: {said}");
+        assert!(said.contains(expected), "{words:?}: {said}");
+    };
+    let good = |program: &str, words: &[&str]| {
+        let (code, out, said) = run(program, words);
+        assert_eq!(code, Some(0), "{words:?}: {said}");
+        out
+    };
+    let counted = |words: &[&str]| {
+        let report = files.json(words);
+        let odf = &report["trees"][0]["traversals"]["odf"];
+        (odf["queries"].as_u64(), odf["mismatches"].as_u64())
+    };
+    assert_eq!(counted(&["0.bvh", "two.rays"]), (Some(900), Some(0)));
+    assert_eq!(counted(&["1.bvh", "two.rays"]), (Some(500), Some(0)));
+    assert_eq!(counted(&["1.bvh", "two.rays", "--scene", "1"]), (Some(500), Some(0)));
+    assert_eq!(counted(&["silent.bvh", "two.rays", "--scene", "1"]), (Some(500), Some(0)));
+
+    let [build, experiment, convert] = [
+        env!("CARGO_BIN_EXE_bvh-build"),
+        env!("CARGO_BIN_EXE_bvh-experiment"),
+        env!("CARGO_BIN_EXE_trace-convert"),
+    ];
+    for heuristic in ["blend", "auto"] {
+        let words = ["1.bvh", "ours.bvh", "--rays", "two.rays", "--heuristic", heuristic, "--budget", "1"];
+        let report = good(build, &[&words[..], &["--format", "json"]].concat());
+        let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+        assert_eq!(report["training_queries"], 500, "{heuristic}");
+        // The new tree knows of which scene it is.
+        assert_eq!(counted(&["ours.bvh", "two.rays"]), (Some(500), Some(0)));
+    }
+    good(experiment, &["traversal", "1.bvh", "--rays", "two.rays", "--out", "out"]);
+    good(convert, &["two.rays", "one.rays", "--scene", "1", "--bvh", "1.bvh"]);
+    assert_eq!(counted(&["1.bvh", "one.rays"]), (Some(500), Some(0)));
+
+    let compare = env!("CARGO_BIN_EXE_bvh-compare");
+    for (program, words) in [
+        (compare, vec!["TREE", "two.rays"]),
+        (build, vec!["TREE", "no.bvh", "--rays", "two.rays"]),
+        (build, vec!["TREE", "no.bvh", "--rays", "two.rays", "--heuristic", "auto"]),
+        (build, vec!["TREE", "no.bvh", "--rays", "two.rays", "--order"]),
+        (experiment, vec!["alpha", "TREE", "--rays", "two.rays"]),
+        (convert, vec!["two.rays", "no.rays", "--bvh", "TREE"]),
+    ] {
+        let with = |tree: &'static str, more: &[&'static str]| {
+            let words = words.iter().map(|&word| if word == "TREE" { tree } else { word });
+            words.chain(more.iter().copied()).collect::<Vec<&str>>()
+        };
+        refused(program, &with("1.bvh", &["--scene", "0"]), "the tree is of scene 1");
+        refused(program, &with("silent.bvh", &[]), "--scene");
+        refused(program, &with("silent.bvh", &["--scene", "7"]), "scenes 0, 1");
+        refused(program, &with("5.bvh", &[]), "scene 5");
+    }
+    refused(compare, &["1.bvh", "5.bvh", "two.rays"], "scenes 1 and 5");
+}
+
 #[test]
 fn several_recordings_are_reported_apart() {
     let files = Files::new();

@@ -72,8 +72,8 @@ fn confirm(name: &str, mesh: &Mesh, options: &[&str], borderline: u64) {
         .enumerate()
         .map(|(number, bvh)| Candidate { path: format!("{name} {number}"), bvh })
         .collect();
-    let warning = check_scenes(&candidates, name, &rays).expect("one scene");
-    assert_eq!(warning, None);
+    let warning = check_scenes(&candidates, name, &rays, None).expect("one scene");
+    assert_eq!(warning, (0, None));
     let settings = Settings {
         traversals: Traversal::ALL.to_vec(),
         costs: Costs { c_i: 1.0, c_p: 1.0 },
@@ -86,7 +86,7 @@ fn confirm(name: &str, mesh: &Mesh, options: &[&str], borderline: u64) {
         rounds: None,
         fit: false,
     };
-    let recording = Recording { path: name.to_owned(), rays: &rays, image: None };
+    let recording = Recording { path: name.to_owned(), rays: &rays, scene: 0, image: None };
     let comparison =
         compare(&candidates, &[recording], settings, &Alone, &Progress::hidden()).expect("whole files");
     assert_eq!(comparison.failures(), Vec::<String>::new());

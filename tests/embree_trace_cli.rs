@@ -191,6 +191,75 @@ fn errors_are_one_line() {
     bad(here, &["room.obj", "--savetrace", "a.rays", "no/a.bvh"], &["no/a.bvh"]);
 }
 
+/// Errors speak of what was given: no camera was.
+#[test]
+fn without_a_camera_no_error_is_about_one() {
+    let directory = TempDir::new().unwrap();
+    let here = directory.path();
+    room(here);
+    for (corners, expected) in [
+        ("v 5 5 5\nv 5 5 5\nv 5 5 5\n", "no triangle of the scene has an area"),
+        ("v 0 0 0\nv 1 1 1\nv 2 2 2\n", "no triangle of the scene has an area"),
+        ("v 0 0 0\nv 1e15 0 0\nv 0 1e15 0\n", "the scene is too large"),
+        ("v 0 0 0\nv 1e30 0 0\nv 0 1e30 0\n", "the scene is too large"),
+    ] {
+        fs::write(here.join("p.obj"), format!("{corners}f 1 2 3\n")).unwrap();
+        bad(here, &["p.obj", "--size", "8x8"], &[expected]);
+    }
+    // A point is looked at when somebody says from where.
+    fs::write(here.join("p.obj"), "v 5 5 5\nv 5 5 5\nv 5 5 5\nf 1 2 3\n").unwrap();
+    good(here, &["p.obj", "--size", "8x8", "--camera", "0,0,0/1,1,1"]);
+    bad(here, &["room.obj", "--camera", "1,1,1/1,1,1"], &["eye and target are the same point"]);
+}
+
+/// One range for a number, whatever is wrong with it.
+#[test]
+fn ranges_do_not_contradict_each_other() {
+    let directory = TempDir::new().unwrap();
+    room(directory.path());
+    for (option, range) in [
+        ("--spp", "1..=16777216"),
+        ("--max-depth", "1..=254"),
+        ("--ao-rays", "1..=1024"),
+        ("--threads", "1..=1024"),
+    ] {
+        for value in ["0", "255", "1025", "65536", "16777217", "4294967296"] {
+            let most: u64 = range.trim_start_matches("1..=").parse().unwrap();
+            if value == "0" || value.parse::<u64>().unwrap() > most {
+                bad(directory.path(), &["room.obj", option, value], &[option, range]);
+            }
+        }
+    }
+}
+
+/// What is typed into a source with a backslash has none on the screen.
+#[test]
+fn no_help_has_backslashes_before_quotes() {
+    for program in [
+        env!("CARGO_BIN_EXE_embree-trace"),
+        env!("CARGO_BIN_EXE_bvh-build"),
+        env!("CARGO_BIN_EXE_bvh-compare"),
+        env!("CARGO_BIN_EXE_bvh-experiment"),
+        env!("CARGO_BIN_EXE_make-scene"),
+        env!("CARGO_BIN_EXE_trace-convert"),
+        env!("CARGO_BIN_EXE_trace-diff"),
+        env!("CARGO_BIN_EXE_trace-info"),
+    ] {
+        let commands: &[&str] = match () {
+            () if program.ends_with("bvh-experiment") => &["", "shapes", "alpha", "scenes", "optimum"],
+            () if program.ends_with("embree-trace") => &["", "record"],
+            () => &[""],
+        };
+        for command in commands {
+            let words = [*command, "--help"].into_iter().filter(|word| !word.is_empty());
+            let help = Command::new(program).args(words).output().unwrap();
+            let text = String::from_utf8(help.stdout).unwrap();
+            assert!(help.status.success() && text.contains("Usage"), "{program} {command}");
+            assert!(!text.contains("\\\"") && !text.contains("\\'"), "{program} {command}: {text}");
+        }
+    }
+}
+
 /// Without anything to write it renders all the same, for whoever wants to know how long that takes.
 #[test]
 fn without_savetrace_it_only_renders() {

@@ -174,6 +174,49 @@ fn saved_traces_feed_the_other_experiments_and_bad_input_is_refused_in_one_line(
     }
 }
 
+/// Whoever trains with a tenth of the pixels has the same ones: `bvh-experiment` and `bvh-build
+/// --train`.
+#[test]
+fn pixels_are_parted_as_everywhere() {
+    let directory = tempfile::tempdir().unwrap();
+    let here = directory.path();
+    let output = run(&["blend", "--quick", "--trials", "1", "--save", "traces", "--out", "out"], here);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    std::fs::create_dir(here.join("one")).unwrap();
+    for extension in ["bvh", "rays"] {
+        let from = here.join(format!("traces/sphere-0.2.{extension}"));
+        std::fs::copy(from, here.join(format!("one/sphere.{extension}"))).unwrap();
+    }
+    for seed in ["1", "2", "77"] {
+        let queries = u64::MAX.to_string();
+        let words = ["scenes", "one", "--quick", "--seed", seed, "--queries", &queries, "--out", "out"];
+        let output = run(&words, here);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let csv = std::fs::read_to_string(here.join("out/scenes.csv")).unwrap();
+        let cells: Vec<&str> = csv.lines().nth(1).unwrap().split(',').collect();
+        let built = Command::new(env!("CARGO_BIN_EXE_bvh-build"))
+            .args(["one/sphere.bvh", "ours.bvh", "--rays", "one/sphere.rays"])
+            .args(["--train", "0.1", "--seed", seed, "--format", "json"])
+            .current_dir(here)
+            .output()
+            .unwrap();
+        let report: serde_json::Value = serde_json::from_slice(&built.stdout).unwrap();
+        assert_eq!(report["training_queries"].to_string(), cells[3], "seed {seed}: {csv}");
+    }
+    // 100 queries in a row of unknown pixels are one pixel, which is on one side.
+    let few = Command::new(env!("CARGO_BIN_EXE_trace-convert"))
+        .args(["traces/sphere-0.2.rays", "one/sphere.rays", "--sample", "100"])
+        .current_dir(here)
+        .output()
+        .unwrap();
+    assert!(few.status.success());
+    let text = refused(&["scenes", "one", "--out", "out"], here);
+    assert!(text.contains("100 queries are of 1 pixels") && text.contains("--seed"), "{text}");
+    assert!(!text.contains("at least 2"), "{text}");
+    let text = refused(&["scenes", "one", "--queries", "1", "--seed", "3", "--out", "out"], here);
+    assert!(text.contains("--queries"), "{text}");
+}
+
 #[test]
 fn the_optimum_is_below_every_heuristic_and_auto_is_near_it() {
     let directory = tempfile::tempdir().unwrap();

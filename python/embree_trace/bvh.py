@@ -53,6 +53,9 @@ class Bvh:
         self.order: Optional[np.ndarray] = sections.get(b"ORDR")
         #: How the tree was built.
         self.meta: dict = self._meta(sections.get(b"META"))
+        recorded = self.meta.get("recorded")
+        #: Number of its scene in the recording that it comes from, for `Rays.queries(scene)`; `None` where the tree does not say.
+        self.scene: Optional[int] = recorded.get("number") if isinstance(recorded, dict) else None
         self._check()
         if verify:
             self._check_header(header)

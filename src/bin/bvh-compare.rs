@@ -99,13 +99,14 @@ struct Arguments {
     #[arg(long, default_value_t = 1)]
     seed: u64,
 
-    /// Replay the queries of this scene, when the recording holds several
-    #[arg(long, default_value_t = 0)]
-    scene: u16,
+    /// Replay the queries of this scene; without this, of the one that the trees are of, when the
+    /// recording holds several
+    #[arg(long, value_name = "N")]
+    scene: Option<u16>,
 
     /// Threads; 0: as many as there are processors
-    #[arg(long, default_value_t = 0)]
-    threads: usize,
+    #[arg(long, default_value_t = 0, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=1024))]
+    threads: u16,
 
     /// Also count tests by level of the tree, and cache lines; every query is followed once more for it. Not for packets
     #[arg(long)]
@@ -164,7 +165,7 @@ fn share(text: &str) -> Result<f64, String> {
 
 fn main() -> ExitCode {
     let arguments: Arguments = cli::parse(PROGRAM, std::env::args_os());
-    cli::run_on_ranks(PROGRAM, arguments.mpi, arguments.threads, |ranks| run(&arguments, ranks))
+    cli::run_on_ranks(PROGRAM, arguments.mpi, arguments.threads.into(), |ranks| run(&arguments, ranks))
 }
 
 fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
@@ -186,19 +187,12 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
     // Sizes help to name pixels, but only pictures cannot do without.
     let said = trees.iter().find_map(compare::image_size);
     let size = |number: usize| arguments.size.get(number).or(arguments.size.last()).copied().or(said);
-    let recordings: Vec<Recording> = rays_paths
-        .iter()
-        .zip(&rays)
-        .enumerate()
-        .map(|(number, (path, rays))| Recording {
-            path: path.display().to_string(),
-            rays,
-            image: size(number),
-        })
-        .collect();
-    for recording in &recordings {
-        let warnings = check(&candidates, recording)?;
+    let mut recordings = Vec::with_capacity(rays.len());
+    for (number, (path, rays)) in rays_paths.iter().zip(&rays).enumerate() {
+        let path = path.display().to_string();
+        let (scene, warnings) = check(&candidates, &path, rays, arguments.scene)?;
         warnings.iter().filter(|_| prints).for_each(|line| eprintln!("{PROGRAM}: warning: {line}"));
+        recordings.push(Recording { path, rays, scene, image: size(number) });
     }
     if arguments.heatmap.is_some() && size(0).is_none() {
         return Err(Failure::new(
@@ -219,7 +213,7 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
         occlusion_order: arguments.occlusion_order,
         costs: Costs { c_i: arguments.ci, c_p: arguments.cp },
         choice: Choice {
-            scene: arguments.scene,
+            scene: recordings[0].scene,
             filter: arguments.filter.clone(),
             held_out: arguments.held_out.map(|share| Portion { share, seed: arguments.seed }),
             sample: arguments.sample,
@@ -276,16 +270,23 @@ fn parse_all<'a, T, E: std::error::Error + 'static>(
         .collect()
 }
 
-/// Refuses a recording of another scene, and returns what there is to warn of.
-fn check(candidates: &[Candidate], Recording { path, rays, .. }: &Recording) -> Result<Vec<String>, Failure> {
-    let mut warnings = Vec::from_iter(compare::check_scenes(candidates, path, rays)?);
+/// Refuses a recording of another scene, and returns the number of the trees' own and what there is
+/// to warn of.
+fn check(
+    candidates: &[Candidate],
+    path: &str,
+    rays: &Rays,
+    asked: Option<u16>,
+) -> Result<(u16, Vec<String>), Failure> {
+    let (scene, warning) = compare::check_scenes(candidates, path, rays, asked)?;
+    let mut warnings = Vec::from_iter(warning);
     if let Some(recovery) = &rays.recovery {
         let (queries, lost) = (recovery.queries, recovery.lost_bytes);
         warnings.push(format!(
             "{path}: the recording was cut off; {queries} queries recovered, {lost} bytes lost"
         ));
     }
-    Ok(warnings)
+    Ok((scene, warnings))
 }
 
 fn write_page(path: &Path, comparison: &Comparison, failures: &[String]) -> Result<(), Failure> {

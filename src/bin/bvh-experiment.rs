@@ -28,7 +28,7 @@ Examples:
 
 A SCENE is a .bvh; its queries are the .rays of the same name, unless --rays says otherwise.";
 
-/// The experiments of \"Building Better BVHs by Using Ray Distributions\" (2011), as CSV, SVG and PNG
+/// The experiments of "Building Better BVHs by Using Ray Distributions" (2011), as CSV, SVG and PNG
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Arguments {
@@ -111,6 +111,10 @@ struct Traced {
     /// About how many queries to take: those of whole pixels, drawn by --seed
     #[arg(long, default_value_t = 262_144, value_parser = clap::value_parser!(u64).range(1..))]
     queries: u64,
+    /// The queries of this scene; without this, of the one that the tree is of, when the recording
+    /// holds several
+    #[arg(long = "scene", value_name = "N")]
+    number: Option<u16>,
 }
 
 #[derive(Args)]
@@ -289,7 +293,7 @@ impl Traced {
         let bvh = Bvh::parse(&bvh_file).map_err(|error| Failure::in_file(bvh_path, error))?;
         let rays = Rays::parse(&rays_file).map_err(|error| Failure::in_file(&rays_path, error))?;
         let queries = if self.common.quick { self.queries.min(32_768) } else { self.queries };
-        let trace = Trace::new(&bvh, &rays, queries, self.common.seed)
+        let trace = Trace::new(&bvh, &rays, self.number, queries, self.common.seed)
             .map_err(|error| Failure::in_file(&rays_path, error))?;
         work(&bvh, &trace).map_err(|error| Failure::in_file(&rays_path, error))
     }

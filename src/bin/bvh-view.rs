@@ -107,6 +107,11 @@ struct Arguments {
     #[arg(long, value_name = "WxH")]
     image: Option<ImageSize>,
 
+    /// Show the queries of this scene; without this, of the one that the trees are of, when the
+    /// recording holds several
+    #[arg(long, value_name = "N")]
+    scene: Option<u16>,
+
     /// Where the plane of mode crossplane stands: x, y, z or camera, and a place from 0 to 1, such as y:0.3
     #[arg(long, value_name = "PLANE", value_parser = parse_plane)]
     plane: Option<(Facing, f32)>,
@@ -174,6 +179,7 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
         points: arguments.points,
         pixels: arguments.pixels,
         image: arguments.image,
+        scene: arguments.scene,
         plane: arguments.plane,
         shows: arguments.plane_shows,
         query: arguments.query.map(Wanted::Number),

@@ -7,7 +7,7 @@ use embree_trace::convert::boxes::Style;
 use embree_trace::convert::numbering::{Numbering, NumberingError};
 use embree_trace::convert::replayed::{Found, Replayer};
 use embree_trace::convert::trees::{self, Part};
-use embree_trace::convert::{ConvertError, Kind, Losses, Selection, Summary, copy, sink, source};
+use embree_trace::convert::{ConvertError, Kind, Losses, Selection, Summary, copy, scenes, sink, source};
 use embree_trace::files::{FileError, MappedFile, OutputFile};
 use embree_trace::format::bvh::Bvh;
 use embree_trace::format::rays::{Chunk, Codec};
@@ -60,6 +60,9 @@ struct Arguments {
     /// Only so many queries, evenly chosen from the whole file (before --filter); to an OBJ, 10000 when nothing is said
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     sample: Option<u64>,
+    /// Only the queries of this scene, when the recording holds several
+    #[arg(long, value_name = "N")]
+    scene: Option<u16>,
     /// A tree of the scene: find the triangle of every hit that has none, as those of 2011 have
     #[arg(long, value_name = "TREE.bvh")]
     bvh: Option<PathBuf>,
@@ -111,10 +114,13 @@ fn run(arguments: &Arguments) -> Result<Outcome, Failure> {
     let from = from.ok_or_else(|| unknown(input, "--from"))?;
     let to = arguments.to.or_else(|| Kind::of_name(output)).ok_or_else(|| unknown(output, "--to"))?;
     if from.is_tree()
-        && (arguments.filter != Filter::default() || arguments.sample.is_some() || arguments.bvh.is_some())
+        && (arguments.filter != Filter::default()
+            || arguments.sample.is_some()
+            || arguments.scene.is_some()
+            || arguments.bvh.is_some())
     {
         return Err(Failure::new(format!(
-            "{}: --filter, --sample and --bvh are for queries, and this is a tree",
+            "{}: --filter, --sample, --scene and --bvh are for queries, and this is a tree",
             input.display()
         )));
     }
@@ -165,7 +171,7 @@ fn write<T>(
 
 fn queries(arguments: &Arguments, file: &Bytes, from: Kind, to: Kind) -> Result<Summary, Failure> {
     let sample = arguments.sample.or((to == Kind::Obj).then_some(LINES));
-    let selection = Selection { filter: arguments.filter.clone(), sample };
+    let selection = Selection { filter: arguments.filter.clone(), sample, scene: arguments.scene };
     let located = |error: ConvertError| Failure::in_file(&arguments.input, error);
     let mut queries = source(file, from).map_err(located)?;
     let mut header = queries.header();
@@ -173,11 +179,18 @@ fn queries(arguments: &Arguments, file: &Bytes, from: Kind, to: Kind) -> Result<
     let tree_path = arguments.bvh.as_deref().unwrap_or(Path::new(""));
     let bvh = tree.as_deref().map(Bvh::parse).transpose();
     let bvh = bvh.map_err(|error| Failure::in_file(tree_path, error))?;
-    let replayer = bvh.as_ref().map(|bvh| Replayer::new(bvh, header.fingerprint)).transpose();
-    let replayer = replayer.map_err(|error| Failure::in_file(tree_path, error))?;
-    if let Some(bvh) = &bvh {
-        header.fingerprint = bvh.header.fingerprint;
-    }
+    let replayer = match &bvh {
+        Some(bvh) => {
+            let scenes = source(file, from).and_then(|mut source| scenes(&mut *source)).map_err(located)?;
+            // Of several scenes no fingerprint can be said.
+            if scenes.numbers.len() < 2 || arguments.scene.is_some() {
+                header.fingerprint = bvh.header.fingerprint;
+            }
+            let replayer = Replayer::new(bvh, &scenes, arguments.scene);
+            Some(replayer.map_err(|error| Failure::in_file(tree_path, error))?)
+        }
+        None => None,
+    };
     // Only an array says before its elements how many there are.
     let count = match to {
         Kind::Npy => {

@@ -11,7 +11,7 @@ mod embree;
 use super::fit::Observation;
 use super::{Candidate, CompareError, Recording, Settings};
 use crate::format::FormatError;
-use crate::format::rays::{MAX_CHUNK_RECORDS, Purpose, Rays, Record, Reject};
+use crate::format::rays::{MAX_CHUNK_RECORDS, Purpose, Record, Reject};
 use crate::geometry::Ray;
 use crate::replay::query::{Choice, Query};
 use crate::replay::sort::Sort;
@@ -127,9 +127,9 @@ struct Queries {
 }
 
 impl Queries {
-    fn read(rays: &Rays, settings: &Settings) -> Result<Queries, FormatError> {
+    fn read(Recording { rays, scene, .. }: &Recording, settings: &Settings) -> Result<Queries, FormatError> {
         let sample = settings.choice.sample.unwrap_or(u64::MAX).min(MOST_QUERIES);
-        let choice = Choice { sample: Some(sample), ..settings.choice.clone() };
+        let choice = Choice { scene: *scene, sample: Some(sample), ..settings.choice.clone() };
         let long = settings.packet.is_some() || settings.sort.is_some();
         let size = if long { LONG_BLOCK } else { BLOCK };
         let mut queries = Queries { list: Vec::new(), rejects: Vec::new(), runs: Vec::new() };
@@ -296,8 +296,9 @@ pub fn time(
     let measure = || {
         let processor = clock::pin();
         let mut timings = Vec::with_capacity(recordings.len());
-        for Recording { path, rays, .. } in recordings {
-            let queries = Queries::read(rays, settings)
+        for recording in recordings {
+            let Recording { path, .. } = recording;
+            let queries = Queries::read(recording, settings)
                 .map_err(|source| CompareError::File { path: path.clone(), source })?;
             let sorted = settings.sort.map(|sort| queries.clone().sorted(sort));
             let mut sorting = Vec::new();

@@ -1,8 +1,9 @@
 //! Queries on their way from one file to another, a piece of at most a chunk at a time.
 
 use super::{ConvertError, Losses};
-use crate::format::rays::{Chunk, Header, MAX_CHUNK_RECORDS, Record, Reject};
+use crate::format::rays::{Chunk, Header, MAX_CHUNK_RECORDS, Reject};
 use crate::progress::Progress;
+use crate::replay::scene::Scenes;
 use crate::replay::select::{Filter, Sample};
 use std::borrow::Cow;
 use std::ops::Range;
@@ -68,11 +69,27 @@ pub struct Selection {
     pub filter: Filter,
     /// Evenly chosen, of the whole file.
     pub sample: Option<u64>,
+    /// Only of this scene.
+    pub scene: Option<u16>,
+}
+
+/// What a source says of its scenes; reads it to its end.
+///
+/// # Errors
+/// When it is damaged.
+pub fn scenes(source: &mut dyn Source) -> Result<Scenes, ConvertError> {
+    let mut scenes = Scenes { fingerprint: source.header().fingerprint, ..Scenes::default() };
+    while let Some(chunk) = source.next()? {
+        if !chunk.records.is_empty() {
+            scenes.numbers.insert(chunk.info.scene);
+        }
+    }
+    Ok(scenes)
 }
 
 impl Selection {
     fn is_everything(&self) -> bool {
-        self.sample.is_none() && self.filter == Filter::default()
+        self.sample.is_none() && self.scene.is_none() && self.filter == Filter::default()
     }
 
     /// How many queries of `source` are chosen; reads it to its end where that must be seen.
@@ -86,19 +103,17 @@ impl Selection {
         let total = source.count();
         let (mut start, mut count) = (0, 0);
         while let Some(chunk) = source.next()? {
-            count += self.within(&chunk.records, start, total).count() as u64;
+            count += self.within(&chunk, start, total).count() as u64;
             start += chunk.records.len() as u64;
         }
         Ok(count)
     }
 
-    /// The places of the chosen ones among `records`, of which the first is number `start` of `total`.
-    fn within<'a>(
-        &'a self,
-        records: &'a [Record],
-        start: u64,
-        total: u64,
-    ) -> impl Iterator<Item = usize> + 'a {
+    /// The places of the chosen ones among the records of a chunk, of which the first is number
+    /// `start` of `total`.
+    fn within<'a>(&'a self, chunk: &'a Chunk, start: u64, total: u64) -> impl Iterator<Item = usize> + 'a {
+        let records = &chunk.records;
+        let is_chosen = self.scene.is_none_or(|scene| scene == chunk.info.scene);
         let sample = self.sample.and_then(|size| Sample::new(size, total));
         let whole = start..start + records.len() as u64;
         let places: Box<dyn Iterator<Item = u64>> = match sample {
@@ -107,7 +122,7 @@ impl Selection {
         };
         places
             .map(move |number| (number - start) as usize)
-            .filter(|&place| self.filter.accepts(&records[place]))
+            .filter(move |&place| is_chosen && self.filter.accepts(&records[place]))
     }
 
     /// The part of a chunk that is chosen.
@@ -117,7 +132,7 @@ impl Selection {
         }
         let mut records = Vec::new();
         let mut rejects = Vec::new();
-        for place in self.within(&chunk.records, start, total) {
+        for place in self.within(&chunk, start, total) {
             let moved = |reject: &Reject| Reject { record: records.len() as u32, ..*reject };
             rejects.extend(chunk.rejects_of(place).iter().map(moved));
             records.push(chunk.records[place]);

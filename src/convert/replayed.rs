@@ -8,6 +8,7 @@ use crate::format::bvh::Bvh;
 use crate::format::rays::{Chunk, NO_TRIANGLE, Record, flag};
 use crate::geometry::{DVec3, Ray, Triangle, Vec3};
 use crate::replay::check::T_TOLERANCE;
+use crate::replay::scene::Scenes;
 use crate::traverse::{Prepared, PreparedRay, Recorded, Scratch, Traversal};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -46,24 +47,26 @@ impl Sum for Found {
 /// Finds triangles over one tree.
 pub struct Replayer<'a> {
     bvh: &'a Bvh<'a>,
+    /// Number of its scene among those of the queries.
+    scene: u16,
     prepared: Prepared,
 }
 
 impl<'a> Replayer<'a> {
-    /// `queries` is the fingerprint of their scene, 0 when it is not known.
+    /// `scenes` are those of the queries, `asked` the one that somebody asked for.
     ///
     /// # Errors
-    /// When the queries are of another scene.
-    pub fn new(bvh: &'a Bvh<'a>, queries: u64) -> Result<Replayer<'a>, ConvertError> {
-        let tree = bvh.header.fingerprint;
-        if queries != 0 && queries != tree {
-            return Err(ConvertError::OtherScene { tree, queries });
-        }
-        Ok(Replayer { bvh, prepared: Prepared::new(bvh.tree, bvh.triangles, bvh.geometries) })
+    /// When the tree is of none of them, or of another one, or does not say of which.
+    pub fn new(bvh: &'a Bvh<'a>, scenes: &Scenes, asked: Option<u16>) -> Result<Replayer<'a>, ConvertError> {
+        let scene = scenes.of_trees(&[bvh], asked)?;
+        Ok(Replayer { bvh, scene, prepared: Prepared::new(bvh.tree, bvh.triangles, bvh.geometries) })
     }
 
-    /// Completes the hits of a chunk that have no triangle, on rayon's threads.
+    /// Completes the hits of a chunk of its scene that have no triangle, on rayon's threads.
     pub fn complete(&self, chunk: &mut Chunk) -> Found {
+        if chunk.info.scene != self.scene {
+            return Found::default();
+        }
         let records = chunk.records.to_mut();
         let pieces = records.par_chunks_mut(1024);
         pieces

@@ -32,10 +32,7 @@ pub struct Row {
 /// # Errors
 /// See [`ExperimentError`].
 pub fn run(trace: &Trace, settings: &Settings) -> Result<Vec<Row>, ExperimentError> {
-    let (training, held_out) = part(&trace.bounces(), 0.5, settings.seed);
-    if training.is_empty() || held_out.is_empty() {
-        return Err(ExperimentError::TooFew { found: training.len() + held_out.len(), least: 2 });
-    }
+    let (training, held_out) = part(&trace.bounces(), 0.5, settings.seed)?;
     let set = RaySet::of_records(training.iter().map(|query| &query.record));
     let alphas = ALPHAS.iter().step_by(if settings.quick { 5 } else { 1 });
     let progress = Progress::new("alpha", 4 * alphas.len() as u64);

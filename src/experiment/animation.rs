@@ -122,10 +122,10 @@ struct Frame {
 }
 
 impl Frame {
-    fn new(trace: Trace, seed: u64) -> Frame {
-        let (training, held_out) = part(&trace.queries, TRAINING, seed);
+    fn new(trace: Trace, seed: u64) -> Result<Frame, ExperimentError> {
+        let (training, held_out) = part(&trace.queries, TRAINING, seed)?;
         let training = training.iter().map(|query| query.record.effective_segment()).collect();
-        Frame { trace, training, held_out }
+        Ok(Frame { trace, training, held_out })
     }
 }
 
@@ -144,7 +144,7 @@ pub fn run<E: From<ExperimentError>>(
     settings: &Settings,
     progress: &Progress,
 ) -> Result<Vec<Row>, E> {
-    let load = |number: usize| Ok::<_, E>(Frame::new(load(number)?, settings.seed));
+    let load = |number: usize| Ok::<_, E>(Frame::new(load(number)?, settings.seed)?);
     let first = load(0)?;
     let start = area_tree(&first.trace.triangles, &Config::default()).map_err(ExperimentError::from)?;
     let mut states = Vec::new();
@@ -193,7 +193,7 @@ fn asked(tree: &Tree, frame: &Frame) -> Row {
     let ask = |queries: &[Query]| {
         let (mut counts, mut scratch, mut mismatches) = (Counts::default(), Scratch::default(), 0u64);
         for query in queries {
-            let (ray, candidates) = (query.record.ray(), query.candidates());
+            let (ray, candidates) = (query.record.ray_among_triangles(), query.candidates());
             let prepared_ray = PreparedRay::new(&ray);
             let answer = if query.record.is_occlusion() {
                 prepared.occluder(Traversal::Odf, &prepared_ray, &candidates, &mut counts, &mut scratch)
@@ -239,7 +239,8 @@ fn timed(prepared: &Prepared, queries: &[Query]) -> f64 {
     let mut once = || {
         let started = Instant::now();
         for query in queries {
-            let (ray, candidates) = (PreparedRay::new(&query.record.ray()), query.candidates());
+            let (ray, candidates) =
+                (PreparedRay::new(&query.record.ray_among_triangles()), query.candidates());
             let found = if query.record.is_occlusion() {
                 prepared.occluder(Traversal::Odf, &ray, &candidates, &mut (), &mut scratch)
             } else {

@@ -65,10 +65,7 @@ pub fn run(
     trace: &Trace,
     settings: &Settings,
 ) -> Result<Vec<Row>, ExperimentError> {
-    let (training, held_out) = part(&trace.queries, TRAINING, settings.seed);
-    if training.is_empty() || held_out.is_empty() {
-        return Err(ExperimentError::TooFew { found: trace.queries.len(), least: 2 });
-    }
+    let (training, held_out) = part(&trace.queries, TRAINING, settings.seed)?;
     let segments: Vec<Ray> = training.iter().map(|query| query.record.effective_segment()).collect();
     let set = RaySet::of_rays(segments.iter().copied());
     let binned = Config::default();
@@ -131,7 +128,7 @@ fn count(tree: &Prepared, queries: &[Query]) -> Counts {
     let count = |queries: &[Query]| {
         let (mut counts, mut scratch) = (Counts::default(), Scratch::default());
         for query in queries {
-            let ray = PreparedRay::new(&query.record.ray());
+            let ray = PreparedRay::new(&query.record.ray_among_triangles());
             let candidates = query.candidates();
             if query.record.is_occlusion() {
                 tree.occluder(Traversal::Odf, &ray, &candidates, &mut counts, &mut scratch);

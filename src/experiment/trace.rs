@@ -1,27 +1,28 @@
 //! A recorded scene as the experiments take it: triangles, a sample of the queries, and a way to part them by pixel.
 
+use super::ExperimentError;
 use crate::format::FormatError;
 use crate::format::bvh::{Bvh, Geometry};
-use crate::format::rays::{NO_DEPTH, NO_PATH, Rays, Record, Reject};
+use crate::format::rays::{NO_DEPTH, Rays, Record, Reject};
 use crate::geometry::Triangle;
-use crate::random::Random;
+use crate::replay::scene::{SceneError, Scenes};
+use crate::replay::select::{Portion, pixel};
 use crate::traverse::{Overlap, Prepared, PreparedRay, Recorded, Scratch};
 use crate::tree::Tree;
 use rayon::prelude::*;
 use thiserror::Error;
 
-/// Queries that follow each other count as one pixel where the pixel is not known: neighbours must not leak.
-const NEIGHBOURS: u64 = 256;
-
 /// Why a pair of files is no trace.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum TraceError {
-    #[error(
-        "the rays are of scene {rays:016x}, the tree is of scene {tree:016x}: give the two files of one recording"
-    )]
-    OtherScene { rays: u64, tree: u64 },
+    #[error(transparent)]
+    Scene(#[from] SceneError),
     #[error("there are no queries in the rays: record the scene again")]
     NoQueries,
+    #[error(
+        "none of the pixels of {all} queries was drawn for about {most} of them: ask for more with --queries"
+    )]
+    NoneDrawn { all: u64, most: u64 },
     #[error(
         "query {query} names triangle {triangle}, but the tree has {triangles}: give the two files of one recording"
     )]
@@ -34,7 +35,7 @@ pub enum TraceError {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Query {
     pub record: Record,
-    pub rejects: Vec<Reject>,
+    pub rejects: Box<[Reject]>,
     /// Queries of one group are on the same side of every split: those of a pixel.
     pub group: u64,
 }
@@ -55,46 +56,49 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// Takes about `most` queries of the file: whole pixels, chosen by `seed`.
+    /// Takes about `most` queries of a scene of the file, by default of the one that the tree is
+    /// of: whole pixels, chosen by `seed`.
     ///
     /// # Errors
     /// When a chunk is damaged, the files belong to different scenes, or there is no query.
-    pub fn new(bvh: &Bvh, rays: &Rays, most: u64, seed: u64) -> Result<Trace, TraceError> {
-        let (tree, of_rays) = (bvh.header.fingerprint, rays.header.fingerprint);
-        if of_rays != 0 && of_rays != tree {
-            return Err(TraceError::OtherScene { rays: of_rays, tree });
-        }
-        if rays.query_count() == 0 {
+    pub fn new(
+        bvh: &Bvh,
+        rays: &Rays,
+        scene: Option<u16>,
+        most: u64,
+        seed: u64,
+    ) -> Result<Trace, TraceError> {
+        let scene = Scenes::of(rays).of_trees(&[bvh], scene)?;
+        let own = rays.chunks().iter().filter(|chunk| chunk.info.scene == scene);
+        let all: u64 = own.map(|chunk| u64::from(chunk.records)).sum();
+        if all == 0 {
             return Err(TraceError::NoQueries);
         }
-        let share = most as f64 / rays.query_count() as f64;
+        // Another seed than that by which they are parted.
+        let sample = Portion { share: most as f64 / all as f64, seed: !seed };
         let firsts = rays.first_queries();
         let triangles = bvh.triangles.len();
         let chunks = rays.map_chunks(|index, chunk| {
-            let mut rejects = chunk.rejects.iter().peekable();
             let mut queries = Vec::new();
+            if chunk.info.scene != scene {
+                return Ok(queries);
+            }
             for (offset, record) in chunk.records.iter().enumerate() {
-                let mut refused = Vec::new();
-                while let Some(reject) = rejects.next_if(|reject| reject.record as usize == offset) {
-                    refused.push(*reject);
-                }
                 let query = firsts[index] + offset as u64;
                 if record.is_hit() && record.triangle != u32::MAX && record.triangle as usize >= triangles {
                     return Err(TraceError::Triangle { query, triangle: record.triangle, triangles });
                 }
-                let group = match record.path {
-                    NO_PATH => (1 << 32) + query / NEIGHBOURS,
-                    path => u64::from(path),
-                };
-                if share >= 1.0 || chance(seed, group) < share {
-                    queries.push(Query { record: *record, rejects: refused, group });
+                let group = pixel(record, query);
+                if sample.has(group) {
+                    let rejects = chunk.rejects_of(offset).into();
+                    queries.push(Query { record: *record, rejects, group });
                 }
             }
             Ok(queries)
         })?;
         let queries: Vec<Query> = chunks.into_iter().collect::<Result<Vec<_>, _>>()?.concat();
         if queries.is_empty() {
-            return Err(TraceError::NoQueries);
+            return Err(TraceError::NoneDrawn { all, most });
         }
         Ok(Trace { triangles: bvh.triangles.to_vec(), geometries: bvh.geometries.to_vec(), queries })
     }
@@ -109,20 +113,32 @@ impl Trace {
 
     /// Distinct pixels.
     pub fn groups(&self) -> Vec<u64> {
-        let mut groups: Vec<u64> = self.queries.iter().map(|query| query.group).collect();
-        groups.sort_unstable();
-        groups.dedup();
-        groups
+        groups(&self.queries)
     }
 }
 
-/// Parts queries into those of about `share` of the pixels, and the others.
-pub fn part(queries: &[Query], share: f64, seed: u64) -> (Vec<Query>, Vec<Query>) {
-    queries.iter().cloned().partition(|query| chance(seed ^ 0x5EED, query.group) < share)
+fn groups(queries: &[Query]) -> Vec<u64> {
+    let mut groups: Vec<u64> = queries.iter().map(|query| query.group).collect();
+    groups.sort_unstable();
+    groups.dedup();
+    groups
 }
 
-fn chance(seed: u64, group: u64) -> f64 {
-    Random::stream(seed, &[group]).uniform()
+/// Parts queries into those of about `share` of the pixels, and the others, as `bvh-build --train`
+/// and `bvh-compare --held-out` do.
+///
+/// # Errors
+/// When there is none on one side.
+pub fn part(queries: &[Query], share: f64, seed: u64) -> Result<(Vec<Query>, Vec<Query>), ExperimentError> {
+    let portion = Portion { share, seed };
+    let (training, held_out): (Vec<Query>, Vec<Query>) =
+        queries.iter().cloned().partition(|query| portion.has(query.group));
+    if training.is_empty() || held_out.is_empty() {
+        let pixels = groups(queries).len();
+        let side = if training.is_empty() { "count on" } else { "build from" };
+        return Err(ExperimentError::OneSided { queries: queries.len(), pixels, share, seed, side });
+    }
+    Ok((training, held_out))
 }
 
 /// T_R of queries on a tree, over their effective segments.

@@ -1,9 +1,11 @@
 //! A camera and lights for a scene that says nothing about them.
 //!
-//! Everything is decided by asking rays. Where there is a room ([`interior`]: free, enclosed space in which things stand), the camera stands
-//! in it at eye height, away from walls, and looks along the longest free way that shows much. Otherwise it stands outside, far enough to
-//! see all, on the side that shows most (a box with an open side is looked into); where all is too small to be seen from there, it goes
-//! to a part ([`closer`]). Either view is looked through with a few rays before it is chosen.
+//! Everything is decided by asking rays. Where there is a room (`interior`: free, enclosed space in
+//! which things stand), the camera stands in it at eye height, away from walls, and looks along the
+//! longest free way that shows much. Otherwise it stands outside, far enough to see all, on the
+//! side that shows most (a box with an open side is looked into); where all is too small to be seen
+//! from there, it goes to a part (`closer`). Either view is looked through with a few rays before
+//! it is chosen.
 
 mod closer;
 mod interior;
@@ -213,8 +215,9 @@ impl<'a, Q: Sight> Framing<'a, Q> {
         })
     }
 
-    /// The view from outside that shows most triangles, with a preference for one from the front, a little from above. Where it shows next to
-    /// nothing, the scene is small in its own bounds, and the view is of a part.
+    /// The view from outside that shows most triangles, with a preference for one from the front, a
+    /// little from above. Where it shows next to nothing, the scene is small in its own bounds, and
+    /// the view is of a part.
     fn outside(&mut self, fov_degrees: Option<f32>, aspect: f32) -> View {
         let fov_degrees = fov_degrees.unwrap_or(OUTSIDE_FOV);
         let (covered, view) = self.around(&self.bounds.clone(), fov_degrees, aspect);
@@ -276,13 +279,15 @@ impl<'a, Q: Sight> Framing<'a, Q> {
     }
 }
 
-/// The smallest size that can be looked at among coordinates such as those of a box: many times what they are rounded by.
+/// The smallest size that can be looked at among coordinates such as those of a box: many times
+/// what they are rounded by.
 fn smallest(bounds: &Aabb) -> f32 {
     let largest = bounds.lower.abs().max(bounds.upper.abs()).max_element();
     (64.0 * f32::EPSILON * largest).max(1e6 * f32::MIN_POSITIVE)
 }
 
-/// Direction `index` of `count` spread evenly over the sphere (a Fibonacci lattice), turned by `turn`.
+/// Direction `index` of `count` spread evenly over the sphere (a Fibonacci lattice), turned by
+/// `turn`.
 fn sphere_direction(index: u32, count: u32, turn: u32) -> Vec3 {
     const GOLDEN: f32 = 0.618_034;
     let z = 1.0 - (2.0 * index as f32 + 1.0) / count as f32;

@@ -2,7 +2,7 @@
 
 use super::select::{Filter, Portion, Sample};
 use crate::format::FormatError;
-use crate::format::rays::{Chunk, Rays, Record, flag};
+use crate::format::rays::{Chunk, Rays, Record};
 use crate::geometry::Ray;
 use crate::traverse::{Hit, Observer, OcclusionOrder, Prepared, PreparedRay, Recorded, Scratch, Traversal};
 use std::ops::Range;
@@ -63,12 +63,12 @@ impl Choice {
             return None;
         }
         let rejects = chunk.rejects_of(index);
-        let mut ray = record.ray();
-        // Something that is not a triangle ended the ray: no triangle is hit before it.
-        if record.flags & flag::UNDECIDED != 0 && record.is_hit() && !record.is_occlusion() {
-            ray.tfar = ray.tfar.min(record.t);
-        }
-        Some(Query { number, record, ray, candidates: Recorded { mask: record.mask, rejects } })
+        Some(Query {
+            number,
+            record,
+            ray: record.ray_among_triangles(),
+            candidates: Recorded { mask: record.mask, rejects },
+        })
     }
 
     /// Calls `visit` with the chosen queries of `rays`, a chunk's at a time, in the order of the file.

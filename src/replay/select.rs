@@ -188,7 +188,7 @@ impl Sample {
 }
 
 /// Queries that follow each other count as one pixel where the pixel is not known: neighbours must not leak.
-const NEIGHBOURS: u64 = 256;
+pub const NEIGHBOURS: u64 = 256;
 
 /// Parts queries by pixel, all queries of a pixel on one side: about `share` of the pixels train a tree, the others are
 /// held out. What is decided depends on the seed and the pixel alone, so a builder and a comparison agree without a word.
@@ -199,13 +199,23 @@ pub struct Portion {
     pub seed: u64,
 }
 
+/// The pixel of the query that has this number in the file: its path, or where that is not known, a
+/// number above all paths.
+pub fn pixel(record: &Record, number: u64) -> u64 {
+    match record.path {
+        NO_PATH => (1 << 32) + number / NEIGHBOURS,
+        path => u64::from(path),
+    }
+}
+
 impl Portion {
     /// Whether the query, which has this number in the file, is for training.
     pub fn trains(&self, record: &Record, number: u64) -> bool {
-        let pixel = match record.path {
-            NO_PATH => (1 << 32) + number / NEIGHBOURS,
-            path => u64::from(path),
-        };
+        self.has(pixel(record, number))
+    }
+
+    /// Whether the queries of a [`pixel`] are for training.
+    pub fn has(&self, pixel: u64) -> bool {
         let uniform = (mixed(pixel ^ mixed(self.seed)) >> 11) as f64 / (1u64 << 53) as f64;
         uniform < self.share
     }

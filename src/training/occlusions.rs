@@ -1,7 +1,7 @@
 //! Recorded occlusion queries, whole: with the masks and rejects that decide which triangles occlude. They choose and judge
 //! the order in which occlusion queries visit children ([`crate::optimize::order`]).
 
-use super::{Selection, TrainingError, same_scene, thin};
+use super::{Selection, TrainingError, thin};
 use crate::format::bvh::Bvh;
 use crate::format::rays::{Rays, Reject};
 use crate::geometry::Ray;
@@ -38,11 +38,11 @@ pub struct Occlusions {
 /// # Errors
 /// When the recording is of another scene than `bvh`, or a chunk is damaged.
 pub fn read(selection: &Selection, rays: &Rays, bvh: &Bvh) -> Result<Occlusions, TrainingError> {
-    same_scene(rays, bvh)?;
+    let scene = selection.scene_of(rays, bvh)?;
     let firsts = rays.first_queries();
     let found = rays.map_chunks(|index, chunk| {
         let mut found = Occlusions::default();
-        if chunk.info.scene != selection.scene {
+        if chunk.info.scene != scene {
             return found;
         }
         for (place, record) in chunk.records.iter().enumerate() {

@@ -38,9 +38,9 @@ impl Viewer {
         style(context);
         let repaint = context.clone();
         let wake: Wake = Arc::new(move || repaint.request_repaint());
-        let image = wishes.image;
+        let (image, scene) = (wishes.image, wishes.scene);
         let work = Work::start(&wake, move |stop, give| {
-            let opened = Opened::open(&paths, image, &|stage| give(News::Stage(stage)));
+            let opened = Opened::open(&paths, image, scene, &|stage| give(News::Stage(stage)));
             match opened {
                 Err(error) => give(News::Failed(error.to_string())),
                 Ok(opened) => {

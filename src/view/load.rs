@@ -106,6 +106,8 @@ impl Sight for &OpenTree {
 pub struct Recording {
     pub path: PathBuf,
     pub rays: Rays<'static>,
+    /// Number of the scene that the trees are of.
+    pub scene: u16,
     /// Size of the traced image, when a tree says it.
     pub image: Option<ImageSize>,
     /// Where its camera stood, when its camera queries say so.
@@ -136,13 +138,15 @@ fn mapped(path: &Path) -> Result<&'static MappedFile, LoadError> {
 
 impl Opened {
     /// Opens one or two trees and perhaps a recording, in any order; tells `stage` what it is doing. `image` is the size of the recorded image
-    /// where it is not what a tree says.
+    /// where it is not what a tree says, `scene` the scene of the recording where that is asked
+    /// for.
     ///
     /// # Errors
     /// When a file cannot be read or is damaged, or files are not of one scene.
     pub fn open(
         paths: &[PathBuf],
         image: Option<ImageSize>,
+        scene: Option<u16>,
         stage: &dyn Fn(String),
     ) -> Result<Opened, LoadError> {
         let (mut trees, mut recordings) = (Vec::new(), Vec::new());
@@ -173,15 +177,16 @@ impl Opened {
                 let label = path.display().to_string();
                 let rays = Rays::parse(mapped(path)?);
                 let rays = rays.map_err(|source| LoadError::Format { path: label.clone(), source })?;
-                warnings.extend(check_scenes(&candidates, &label, &rays)?);
+                let (scene, warning) = check_scenes(&candidates, &label, &rays, scene)?;
+                warnings.extend(warning);
                 if let Some(recovery) = &rays.recovery {
                     let (queries, lost) = (recovery.queries, recovery.lost_bytes);
                     warnings
                         .push(format!("recording cut off: {queries} queries recovered, {lost} bytes lost"));
                 }
                 let image = image.or_else(|| trees.iter().find_map(|tree| image_size(&tree.bvh)));
-                let view = image.and_then(|image| recorded_view(&rays, image));
-                Some(Arc::new(Recording { path: path.to_path_buf(), rays, image, view }))
+                let view = image.and_then(|image| recorded_view(&rays, scene, image));
+                Some(Arc::new(Recording { path: path.to_path_buf(), rays, scene, image, view }))
             }
         };
         stage("choosing a view".to_owned());
@@ -235,11 +240,12 @@ fn aimed(sight: &mut impl Sight, view: View, size: f32) -> View {
 
 /// The pinhole camera of a recording's camera queries, fitted to which pixel each of them serves; `None` when they have no common origin,
 /// or too few pixels are there.
-fn recorded_view(rays: &Rays, image: ImageSize) -> Option<View> {
-    let chunks = rays.chunks().len();
-    let step = chunks.div_ceil(CAMERA_CHUNKS).max(1);
+fn recorded_view(rays: &Rays, scene: u16, image: ImageSize) -> Option<View> {
+    let own = |&number: &usize| rays.chunks()[number].info.scene == scene;
+    let chunks: Vec<usize> = (0..rays.chunks().len()).filter(own).collect();
+    let step = chunks.len().div_ceil(CAMERA_CHUNKS).max(1);
     let mut samples = Vec::new();
-    for number in (0..chunks).step_by(step) {
+    for &number in chunks.iter().step_by(step) {
         let chunk = rays.chunk(number).ok()?;
         let camera = |record: &&crate::format::rays::Record| record.purpose == Purpose::Camera as u8;
         let taken = chunk.records.iter().filter(camera).filter_map(|record| {

@@ -76,7 +76,7 @@ impl Pixels {
         let (tree, recording) = (tree.clone(), recording.clone());
         self.costs[number].ask(&traversal, steps, wake, move |progress| {
             let asked = Asked { prepared: &tree.prepared, traversal, order: &tree.order };
-            let source = Source { rays: &recording.rays, choice: every_query(), limit: LOOKED_AT };
+            let source = Source { rays: &recording.rays, choice: every_query(&recording), limit: LOOKED_AT };
             let (pixels, _) =
                 per_pixel(&asked, &source, size, progress).map_err(|error| error.to_string())?;
             let costs = pixels.costs(&COSTS);

@@ -91,7 +91,7 @@ impl Rays {
         let steps = recording.rays.query_count();
         self.latest.ask(&question, steps, wake, move |progress| {
             let filter: Filter = asked.filter.parse().map_err(|error| format!("{error}"))?;
-            let choice = Choice { scene: 0, filter, held_out: None, sample: None };
+            let choice = Choice { scene: recording.scene, filter, held_out: None, sample: None };
             let cost = asked.traversal.map(|(_, traversal)| {
                 let asked = Asked { prepared: &tree.prepared, traversal, order: &tree.order };
                 (asked, COSTS, 0.0..=f64::INFINITY)

@@ -96,13 +96,13 @@ impl Drop for Results {
 }
 
 fn source(recording: &Recording, limit: u64) -> Source<'_> {
-    Source { rays: &recording.rays, choice: every_query(), limit }
+    Source { rays: &recording.rays, choice: every_query(recording), limit }
 }
 
 /// What tests cost, everywhere in the window.
 pub const COSTS: Costs = Costs { c_i: 1.0, c_p: 1.0 };
 
-/// All queries of the first scene.
-pub fn every_query() -> Choice {
-    Choice { scene: 0, filter: Default::default(), held_out: None, sample: None }
+/// All queries of the scene that is shown.
+pub fn every_query(recording: &Recording) -> Choice {
+    Choice { scene: recording.scene, filter: Default::default(), held_out: None, sample: None }
 }

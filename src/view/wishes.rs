@@ -61,6 +61,8 @@ pub struct Wishes {
     pub pixels: Option<PixelColor>,
     /// Its size, where the trees do not say it.
     pub image: Option<ImageSize>,
+    /// The scene of the recording, where it is asked for.
+    pub scene: Option<u16>,
     /// The way the plane stands, and where.
     pub plane: Option<(Facing, f32)>,
     /// What the plane shows.

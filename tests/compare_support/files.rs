@@ -119,19 +119,28 @@ fn nearest(possible: &[(u32, f64)]) -> Option<u32> {
 
 /// A `.rays` with a chunk per `chunk` records.
 pub fn rays_bytes(fingerprint: u64, records: &[Record], rejects: &[Reject], chunk: usize) -> Vec<u8> {
+    scenes_bytes(fingerprint, &[(records, rejects)], chunk)
+}
+
+/// A `.rays` of several scenes, numbered in their order, with a chunk per `chunk` records.
+pub fn scenes_bytes(fingerprint: u64, scenes: &[(&[Record], &[Reject])], chunk: usize) -> Vec<u8> {
     let header =
         Header { fingerprint, embree_version: 0, deterministic: true, producer: "a test".to_owned() };
     let mut writer = RaysWriter::new(Vec::new(), &header).expect("writing to memory");
-    for (number, part) in records.chunks(chunk).enumerate() {
-        let start = (number * chunk) as u32;
-        let own: Vec<Reject> = rejects
-            .iter()
-            .filter(|reject| (start..start + part.len() as u32).contains(&reject.record))
-            .map(|reject| Reject { record: reject.record - start, ..*reject })
-            .collect();
-        let info = ChunkInfo { scene: 0, thread: 0, sequence: start.into() };
-        let codec = if number % 2 == 0 { Codec::Raw } else { Codec::Compressed };
-        writer.write_chunk(&info, part, &own, codec).expect("writing to memory");
+    let mut sequence = 0;
+    for (scene, (records, rejects)) in (0..).zip(scenes) {
+        for (number, part) in records.chunks(chunk).enumerate() {
+            let start = (number * chunk) as u32;
+            let own: Vec<Reject> = rejects
+                .iter()
+                .filter(|reject| (start..start + part.len() as u32).contains(&reject.record))
+                .map(|reject| Reject { record: reject.record - start, ..*reject })
+                .collect();
+            let info = ChunkInfo { scene, thread: 0, sequence };
+            sequence += part.len() as u64;
+            let codec = if number % 2 == 0 { Codec::Raw } else { Codec::Compressed };
+            writer.write_chunk(&info, part, &own, codec).expect("writing to memory");
+        }
     }
     writer.finish().expect("writing to memory").0
 }

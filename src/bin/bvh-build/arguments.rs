@@ -89,9 +89,10 @@ pub struct Arguments {
     /// Train with at most this many queries, evenly chosen
     #[arg(long, default_value_t = 1 << 20, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1 << 31))]
     pub train_limit: u64,
-    /// The queries of this scene, when the recording holds several
-    #[arg(long, default_value_t = 0)]
-    pub scene: u16,
+    /// The queries of this scene; without this, of the one that the tree is of, when the recording
+    /// holds several
+    #[arg(long, value_name = "N")]
+    pub scene: Option<u16>,
     /// Optimisers to run after the build, in this order, with the same heuristic
     #[arg(long, value_enum, value_delimiter = ',', value_name = "NAMES")]
     pub optimize: Vec<Optimizer>,

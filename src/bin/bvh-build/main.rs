@@ -14,6 +14,7 @@ use embree_trace::format::rays::Rays;
 use embree_trace::progress::Progress;
 use embree_trace::ranks::{Ranks, gather_all};
 use embree_trace::recipe::{Made, Recipe, RecipeError, auto, wide};
+use embree_trace::replay::scene;
 use embree_trace::training::Segments;
 use embree_trace::training::occlusions::{self, Occlusions};
 use embree_trace::training::queries::{self, Query};
@@ -100,10 +101,7 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
         });
     }
     // Where the image's size is known, it stays known.
-    let recorded = before.meta.and_then(|meta| serde_json::from_str::<Value>(meta).ok());
-    if let Some(image) = recorded.as_ref().and_then(|meta| meta.get("image")) {
-        meta["image"] = image.clone();
-    }
+    scene::inherit(&mut meta, &before, &["image"]);
     let wants_order = arguments.order || !training.occlusions.training.is_empty();
     let ordered = wants_order.then(|| {
         let prepared = Prepared::new(tree.view(), before.triangles, before.geometries);

@@ -9,6 +9,7 @@ use embree_trace::format::rays::Rays;
 use embree_trace::geometry::Ray;
 use embree_trace::ranks::Alone;
 use embree_trace::recipe::{Heuristic, Recipe};
+use embree_trace::replay::scene;
 use embree_trace::update::Moving;
 use embree_trace::update::policy::{Policy, State};
 use serde_json::{Value, json};
@@ -50,12 +51,7 @@ pub fn run(arguments: &Arguments, follow: &Follow) -> Result<Outcome, Failure> {
         },
     });
     // What is known of the frame itself stays known.
-    let recorded = frame.meta.and_then(|meta| serde_json::from_str::<Value>(meta).ok()).unwrap_or_default();
-    for key in ["image", "frame"] {
-        if let Some(value) = recorded.get(key) {
-            meta[key] = value.clone();
-        }
-    }
+    scene::inherit(&mut meta, &frame, &["image", "frame"]);
     let contents = Contents {
         tree: tree.view(),
         triangles: frame.triangles,

@@ -15,6 +15,7 @@ use embree_trace::progress::Progress;
 use embree_trace::render::camera::parse_view;
 use embree_trace::render::film::ImageKind;
 use embree_trace::render::frames::Sequence;
+use embree_trace::render::job::Limits;
 use embree_trace::render::pair::Pair;
 use embree_trace::render::scenery::{Scenery, Wishes};
 use embree_trace::render::summary::{Summary, camera_option, lights_name, query_lines};
@@ -88,20 +89,20 @@ struct Arguments {
     #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "640x480")]
     size: String,
     /// Samples per pixel
-    #[arg(long, default_value_t = 4)]
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=Limits::SAMPLES as i64))]
     spp: u32,
     /// How often a path is scattered at most: also the largest depth of a query
-    #[arg(long, value_name = "N", default_value_t = 4)]
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u8).range(1..=Limits::DEPTH as i64))]
     max_depth: u8,
     /// Ambient occlusion rays per camera ray
-    #[arg(long, value_name = "N", default_value_t = 4)]
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=Limits::AO_RAYS as i64))]
     ao_rays: u32,
     /// Another number gives other random numbers
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Threads that build and render; all CPUs when absent. Does not change a byte of the output
-    #[arg(long, value_name = "N")]
-    threads: Option<usize>,
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=Limits::THREADS as i64))]
+    threads: Option<u16>,
     /// Camera rays and first shadow rays asked at once: 1, 4, 8 or 16
     #[arg(long, value_name = "N", default_value_t = 1)]
     packet: usize,
@@ -247,7 +248,7 @@ struct Plan<'a> {
 
 fn plan(arguments: &Arguments) -> Result<Plan<'_>, Failure> {
     let (width, height) = Job::parse_size(&arguments.size)?;
-    let cpus = || std::thread::available_parallelism().map_or(1, |n| n.get());
+    let cpus = || std::thread::available_parallelism().map_or(1, |n| n.get().min(Limits::THREADS));
     let job = Job {
         width,
         height,
@@ -256,7 +257,7 @@ fn plan(arguments: &Arguments) -> Result<Plan<'_>, Failure> {
         integrator: arguments.integrator,
         max_depth: arguments.max_depth,
         ao_rays: arguments.ao_rays,
-        threads: arguments.threads.unwrap_or_else(cpus),
+        threads: arguments.threads.map_or_else(cpus, usize::from),
         packet: arguments.packet,
     }
     .validated()?;

@@ -25,7 +25,7 @@ Examples:
     EMBREE_TRACE_LIMIT=1000000 EMBREE_TRACE_COMPRESS=true embree-trace record -- ./render.sh
 
 Each committed scene that is asked something is a scene of the recording, and gets a tree of its own: built.bvh,
-built.1.bvh, …; bvh-compare --scene N replays the queries of one.
+built.1.bvh, …; bvh-compare and the others take the queries of the scene that their tree is of.
 
 SIGTERM or SIGHUP ends the recording, which is complete then, and not the program; an interrupt is the program's.
 

@@ -104,6 +104,14 @@ impl Record {
         Ray { origin: self.origin, tnear: self.tnear, direction: self.direction, tfar: self.tfar }
     }
 
+    /// The ray as it is asked again among triangles: where something that is none ended it, it ends
+    /// there, for no triangle is hit before.
+    #[inline]
+    pub fn ray_among_triangles(&self) -> Ray {
+        let ends = self.flags & flag::UNDECIDED != 0 && self.is_hit() && !self.is_occlusion();
+        Ray { tfar: if ends { self.tfar.min(self.t) } else { self.tfar }, ..self.ray() }
+    }
+
     /// The ray over its *effective segment*: up to the recorded hit for a closest-hit query, as asked for an occlusion.
     #[inline]
     pub fn effective_segment(&self) -> Ray {

@@ -209,6 +209,7 @@ impl Collector {
         let meta = json!({
             "recorded": {
                 "command": self.target.command,
+                "number": line.number,
                 "scene": line.scene,
                 "commit": line.commit,
                 "left_out": line.left_out,

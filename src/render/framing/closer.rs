@@ -1,7 +1,8 @@
-//! A view of a part, where a whole scene is too small or too scattered in its own bounds to be seen: a long row, groups far apart, a needle.
+//! A view of a part, where a whole scene is too small or too scattered in its own bounds to be
+//! seen: a long row, groups far apart, a needle.
 //!
-//! The bounds are halved, and the half with more area is kept, until a view of what is left shows something. A triangle that is left alone is
-//! approached.
+//! The bounds are halved, and the half with more area is kept, until a view of what is left shows
+//! something. A triangle that is left alone is approached.
 
 use super::{Framing, LEAST_COVERED, Sight};
 use crate::geometry::{Aabb, Triangle, Vec3};
@@ -13,7 +14,8 @@ const HALVINGS: usize = 48;
 const SAMPLES: usize = 1 << 16;
 
 impl<Q: Sight> Framing<'_, Q> {
-    /// A view that shows at least [`LEAST_COVERED`], or the one that shows most: `best` is the share that hits in the view of all, and that view.
+    /// A view that shows at least [`LEAST_COVERED`], or the one that shows most: `best` is the
+    /// share that hits in the view of all, and that view.
     pub(super) fn closer(&mut self, best: (f32, View), fov_degrees: f32, aspect: f32) -> View {
         let step = self.triangles.len().div_ceil(SAMPLES).max(1);
         let has_area = |triangle: &&Triangle| triangle.has_area();
@@ -45,8 +47,8 @@ fn around(centre: Vec3, extent: Vec3) -> Aabb {
     Aabb { lower: centre - 0.5 * extent, upper: centre + 0.5 * extent }
 }
 
-/// Of several triangles, parted at the widest gap between centroids along the longest axis, or in the middle where there is none, the half with
-/// more area.
+/// Of several triangles, parted at the widest gap between centroids along the longest axis, or in
+/// the middle where there is none, the half with more area.
 fn heavier_half(mut triangles: Vec<Triangle>) -> Vec<Triangle> {
     let point = |bounds: Aabb, triangle: &Triangle| bounds.grown(triangle.centroid());
     let extent = triangles.iter().fold(Aabb::EMPTY, point).extent();

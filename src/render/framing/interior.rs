@@ -1,8 +1,9 @@
 //! Rooms: whether a scene is looked at from inside, and from where.
 //!
-//! Free, enclosed space alone is no room: a double-walled vase has it, a hollow figure, and every solid. In a room stand things: behind them
-//! the room goes on, while behind a wall there is not the same space again. And a room is not one of many boxes that cut each other:
-//! most of what it holds are things, or what is seen from outside is its walls.
+//! Free, enclosed space alone is no room: a double-walled vase has it, a hollow figure, and every
+//! solid. In a room stand things: behind them the room goes on, while behind a wall there is not
+//! the same space again. And a room is not one of many boxes that cut each other: most of what it
+//! holds are things, or what is seen from outside is its walls.
 
 use super::{CLOSE, DIRECTIONS, Framing, Sight, sphere_direction};
 use crate::geometry::Vec3;
@@ -14,9 +15,11 @@ use std::f32::consts::TAU;
 const INSIDE_FOV: f32 = 60.0;
 /// Triangles that are asked whether they are seen from outside.
 const SURFACE_SAMPLES: usize = 512;
-/// Below this share of free directions over the sphere, the surfaces are those of an interior. A convex solid has a half.
+/// Below this share of free directions over the sphere, the surfaces are those of an interior. A
+/// convex solid has a half.
 const INTERIOR_OPENNESS: f32 = 0.2;
-/// From a point inside, this share of all directions meets something. An atrium without a roof has about 0.8.
+/// From a point inside, this share of all directions meets something. An atrium without a roof has
+/// about 0.8.
 const ENCLOSED: f32 = 0.65;
 /// From a point between walls or in a room with windows, this share.
 const SHUT: f32 = 0.97;
@@ -24,7 +27,8 @@ const SHUT: f32 = 0.97;
 const MIN_LENGTH: f32 = 0.15;
 /// Of a view from inside at least this share of rays hits.
 const INSIDE_COVERED: f32 = 0.5;
-/// Places that a camera inside may stand, how many of the best are looked from, and how many of these are asked whether that is a room.
+/// Places that a camera inside may stand, how many of the best are looked from, and how many of
+/// these are asked whether that is a room.
 const PLACES: u32 = 512;
 const FINALISTS: usize = 40;
 const CANDIDATES: usize = 3;
@@ -34,9 +38,11 @@ const ROOM_POINTS: u32 = 24;
 const SAME_ROOM: f32 = 0.125;
 /// Surfaces that a look behind something goes through.
 const LAYERS: usize = 4;
-/// Of the triangles around a room, this share belongs to things that stand in it, whatever is seen from outside.
+/// Of the triangles around a room, this share belongs to things that stand in it, whatever is seen
+/// from outside.
 const FULL: f32 = 0.4;
-/// What is a room where most triangles are hidden from outside, and where they are not: many of them are its walls then.
+/// What is a room where most triangles are hidden from outside, and where they are not: many of
+/// them are its walls then.
 const HIDDEN: Room = Room { content: 0.01, whole: 0.55 };
 const OPEN: Room = Room { content: 0.025, whole: 0.72 };
 
@@ -69,8 +75,9 @@ impl<Q: Sight> Framing<'_, Q> {
         })
     }
 
-    /// Mean share of the sphere around a triangle in which nothing hides it, over triangles at regular steps of their numbers: so
-    /// the many small ones of what stands in a room outvote its walls.
+    /// Mean share of the sphere around a triangle in which nothing hides it, over triangles at
+    /// regular steps of their numbers: so the many small ones of what stands in a room outvote its
+    /// walls.
     fn openness(&mut self) -> f32 {
         let count = self.triangles.len().min(SURFACE_SAMPLES);
         let offset = (1e-4 * self.size).max(self.nudge());
@@ -113,7 +120,8 @@ impl<Q: Sight> Framing<'_, Q> {
         Room { content: self.content(&points), whole: self.wholeness(&points, outside, aspect) }
     }
 
-    /// Of the triangles around a room, the share behind which the room goes on. They are taken at regular steps of their numbers.
+    /// Of the triangles around a room, the share behind which the room goes on. They are taken at
+    /// regular steps of their numbers.
     fn content(&mut self, points: &[Vec3]) -> f32 {
         let nudge = self.nudge();
         let (mut things, mut walls) = (0u32, 0u32);
@@ -154,7 +162,8 @@ impl<Q: Sight> Framing<'_, Q> {
         false
     }
 
-    /// Share of what a view from outside shows behind which the room is, at once or behind a thick wall.
+    /// Share of what a view from outside shows behind which the room is, at once or behind a thick
+    /// wall.
     fn wholeness(&mut self, points: &[Vec3], outside: &View, aspect: f32) -> f32 {
         let [width, height] = super::GLIMPSE;
         let Ok(camera) = Camera::new(outside, (aspect * 1024.0) as u32 + 1, 1024) else { return 0.0 };
@@ -221,7 +230,8 @@ impl<Q: Sight> Framing<'_, Q> {
         chosen
     }
 
-    /// A place to stand: how far and freely one sees from there, the eye, and the direction of the longest view.
+    /// A place to stand: how far and freely one sees from there, the eye, and the direction of the
+    /// longest view.
     fn place(&mut self, number: u32) -> Option<(f32, Vec3, f32)> {
         let sampler = Sampler::new(0, 0, number);
         let [x, y] = sampler.pair(0);

@@ -1,4 +1,5 @@
-//! Scenes of which it is known from where they are to be seen: what is hollow and what is solid from outside, furnished rooms from inside.
+//! Scenes of which it is known from where they are to be seen: what is hollow and what is solid
+//! from outside, furnished rooms from inside.
 
 use super::{Framing, Seen, Sight, guess_up, main_bounds};
 use crate::builder::Config;
@@ -181,7 +182,8 @@ fn rooms_are_seen_from_inside() {
             0 => cuboid(&mut triangles, Vec3::ZERO, extent, fine, true, &[]),
             1 => cuboid(&mut triangles, Vec3::ZERO, extent, fine, false, &[]),
             thick => {
-                // Walls of some thickness; the last kind has a window in one of them, as wide as the wall.
+                // Walls of some thickness; the last kind has a window in one of them, as wide as
+                // the wall.
                 let thickness = Vec3::splat(0.2);
                 let open: &[usize] = if thick == 3 { &[4] } else { &[] };
                 cuboid(&mut triangles, Vec3::ZERO, extent, fine, true, open);

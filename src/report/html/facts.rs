@@ -50,7 +50,10 @@ fn files(comparison: &Comparison) -> Markup {
                         @if recording.embree_version > 0 { ", Embree " (version(recording.embree_version)) }
                     }
                     td { @if recording.fingerprint == 0 { "unknown" } @else { code { (format!("{:016x}", recording.fingerprint)) } } }
-                    td { (grouped(recording.queries)) " queries" }
+                    td {
+                        (grouped(recording.queries)) " queries"
+                        @if recording.scene > 0 { ", of which those of scene " (recording.scene) }
+                    }
                 }
             }
         }
@@ -79,7 +82,6 @@ fn settings(comparison: &Comparison) -> Markup {
             dt { "Queries" }
             dd {
                 @if filter.is_empty() { "all" } @else { "those with " code { (filter) } }
-                @if choice.scene > 0 { ", of scene " (choice.scene) }
                 @if let Some(portion) = choice.held_out {
                     ", but for the " (portion.share * 100.0) "% that trees were trained with (seed " (portion.seed) ")"
                 }

@@ -172,7 +172,8 @@ impl Crossplane {
                 }
                 let recording =
                     recording.ok_or("open a recording (.rays) too, to see its queries cross the plane")?;
-                let source = Source { rays: &recording.rays, choice: every_query(), limit: LOOKED_AT };
+                let source =
+                    Source { rays: &recording.rays, choice: every_query(&recording), limit: LOOKED_AT };
                 let found = traffic(&source, &plane, grid, MOST_POINTS, progress);
                 Ok(passing(&plane, &found.map_err(|error| error.to_string())?, shown))
             });

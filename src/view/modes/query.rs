@@ -79,7 +79,7 @@ impl QueryMode {
     fn fulfil(&mut self, shared: &Shared) {
         let (Some(wanted), Some(recording)) = (self.wanted, &shared.opened.recording) else { return };
         let rays = &recording.rays;
-        let choice = every_query();
+        let choice = every_query(recording);
         let found = match wanted {
             Wanted::Number(number) => match fetch(rays, &choice, number) {
                 Err(error) => Err(error.to_string()),
