@@ -1,15 +1,29 @@
 //! Whether two files hold the same: what `trace-diff` says, and what regression tests of a renderer stand on.
 //!
 //! Two parsed files → a [`Report`]: the number of differences, the first one with both values, and notes on what
-//! is told but does not count. [`rays`] compares queries, [`bvh`] trees.
+//! is told but does not count. [`bvh`] compares trees element by element. [`rays`] compares queries: [`in_order`]
+//! (or [`any_order`]) finds which query of the one file answers to which of the other, [`query`] compares such a pair,
+//! [`tie`] says whether two triangles are hit at one t, and [`tally`] counts.
 
+mod any_order;
 pub mod bvh;
+mod in_order;
+mod pairing;
+mod path_set;
+mod query;
 pub mod rays;
+mod reader;
+mod report;
+mod tally;
+mod tie;
 
+pub use report::{Differing, First, PixelReport, QueryReport, Report, Value};
+pub use tie::{Trees, TreesError};
+
+use crate::format::rays::{Header, Rays};
 use crate::format::{FileKind, FormatError};
-use serde::Serialize;
-use std::collections::BTreeMap;
-use std::fmt::{self, Formatter};
+use crate::progress::Progress;
+use crate::replay::pixels::ImageSize;
 
 /// How close two floats have to be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,115 +50,39 @@ impl Tolerance {
     }
 
     fn equal_vectors(self, a: glam::Vec3, b: glam::Vec3) -> bool {
+        if self == Tolerance::Exact {
+            return bytemuck::bytes_of(&a) == bytemuck::bytes_of(&b);
+        }
         let magnitude = a.abs().max_element().max(b.abs().max_element());
         a.to_array().iter().zip(b.to_array()).all(|(&a, b)| self.equal(a, b, magnitude))
     }
 }
 
-/// A value that is not the same in both files.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Value {
-    pub name: String,
-    pub a: String,
-    pub b: String,
+/// What counts as a difference, and what is known beside the two files.
+#[derive(Clone, Copy, Debug)]
+pub struct Options<'a> {
+    /// Of what was asked: origins, directions, intervals and times; and of everything in trees.
+    pub questions: Tolerance,
+    /// Of what was answered: t, u and v. Unless it is [`Tolerance::Exact`], two triangles at one t are a tie.
+    pub answers: Tolerance,
+    /// Compare the queries as multisets: their order does not count.
+    pub any_order: bool,
+    /// The trees that the recordings were made with, as far as they are known: they tell a tie from another hit.
+    pub trees: Trees<'a>,
+    /// Which pixel a path is.
+    pub image: Option<ImageSize>,
 }
 
-impl Value {
-    fn new(name: impl ToString, a: impl ToString, b: impl ToString) -> Value {
-        Value { name: name.to_string(), a: a.to_string(), b: b.to_string() }
-    }
-}
-
-impl fmt::Display for Value {
-    fn fmt(&self, f: &mut Formatter) -> fmt::Result {
-        write!(f, "{}: {} in A, {} in B", self.name, self.a, self.b)
-    }
-}
-
-/// The first element that differs.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct First {
-    /// What differs: a query with its pixel, depth and purpose, or an element of a section.
-    pub element: String,
-    pub values: Vec<Value>,
-}
-
-/// What was found.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Report {
-    /// What was compared, in A and in B: queries, or nodes.
-    pub unit: &'static str,
-    pub count_a: u64,
-    pub count_b: u64,
-    /// Elements that differ; those that only the longer file has are differences, too.
-    pub differences: u64,
-    /// How many of them differ in which value.
-    pub by_value: BTreeMap<&'static str, u64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub first: Option<First>,
-    /// What is different and does not count.
-    pub notes: Vec<Value>,
-}
-
-impl Report {
-    /// Whether nothing that counts differs.
-    pub fn is_equal(&self) -> bool {
-        self.differences == 0
-    }
-
-    /// One more element differs, in the named values; `describe` tells of the first.
-    fn differ(&mut self, names: &[&'static str], describe: impl FnOnce() -> First) {
-        self.differences += 1;
-        for &name in names {
-            *self.by_value.entry(name).or_default() += 1;
+impl Options<'_> {
+    /// One tolerance for everything, and nothing known beside the files.
+    pub fn new(tolerance: Tolerance) -> Self {
+        Options {
+            questions: tolerance,
+            answers: tolerance,
+            any_order: false,
+            trees: Trees::default(),
+            image: None,
         }
-        if self.first.is_none() {
-            self.first = Some(describe());
-        }
-    }
-
-    /// Elements that only one file has, `described` by the first of them.
-    fn differ_in_length(&mut self, name: &'static str, a: u64, b: u64) {
-        let more = a.abs_diff(b);
-        if more == 0 {
-            return;
-        }
-        self.differences += more;
-        *self.by_value.entry(name).or_default() += more;
-        if self.first.is_none() {
-            let element = format!("{name} {}", a.min(b));
-            self.first = Some(First { element, values: vec![Value::new(format!("number of {name}"), a, b)] });
-        }
-    }
-
-    fn note(&mut self, name: &str, a: impl ToString, b: impl ToString) {
-        let value = Value::new(name, a, b);
-        if value.a != value.b {
-            self.notes.push(value);
-        }
-    }
-}
-
-impl fmt::Display for Report {
-    fn fmt(&self, f: &mut Formatter) -> fmt::Result {
-        let Report { unit, count_a, count_b, differences, .. } = self;
-        match (self.is_equal(), count_a == count_b) {
-            (true, _) => writeln!(f, "equal: {count_a} {unit}")?,
-            (false, true) => writeln!(f, "different: {differences} differences in {count_a} {unit}")?,
-            (false, false) => {
-                writeln!(f, "different: {differences} differences, {count_a} {unit} in A, {count_b} in B")?;
-            }
-        }
-        if let Some(first) = &self.first {
-            writeln!(f, "first: {}", first.element)?;
-            first.values.iter().try_for_each(|value| writeln!(f, "  {value}"))?;
-        }
-        if !self.by_value.is_empty() {
-            let counts: Vec<String> =
-                self.by_value.iter().map(|(name, count)| format!("{name} {count}")).collect();
-            writeln!(f, "by value: {}", counts.join(", "))?;
-        }
-        self.notes.iter().try_for_each(|note| writeln!(f, "note: {note}"))
     }
 }
 
@@ -157,21 +95,40 @@ pub enum DiffError {
     B(FormatError),
     #[error("A is a {} file and B a {} file: give two of a kind", .0.name(), .1.name())]
     Kinds(FileKind, FileKind),
+    #[error("{0} has no queries: there is nothing to compare, record it again")]
+    NoQueries(&'static str),
+    #[error("{0}; it belongs to recordings (.rays), and A and B are trees")]
+    NotForTrees(&'static str),
+    #[error(transparent)]
+    Trees(#[from] TreesError),
 }
 
 /// Compares two files of the same kind.
 ///
 /// # Errors
-/// When a file is damaged or of another kind.
-pub fn compare(
-    a: &[u8],
-    b: &[u8],
-    tolerance: Tolerance,
-    progress: &crate::progress::Progress,
-) -> Result<Report, DiffError> {
+/// When a file is damaged, of another kind or without queries, or a tree is of another scene.
+pub fn compare(a: &[u8], b: &[u8], options: &Options, progress: &Progress) -> Result<Report, DiffError> {
     match (FileKind::of(a), FileKind::of(b)) {
         (Some(kind_a), Some(kind_b)) if kind_a != kind_b => Err(DiffError::Kinds(kind_a, kind_b)),
-        (Some(FileKind::Bvh), _) | (None, Some(FileKind::Bvh)) => bvh::compare(a, b, tolerance),
-        _ => rays::compare(a, b, tolerance, progress),
+        (Some(FileKind::Bvh), _) | (None, Some(FileKind::Bvh)) => {
+            let misplaced = [
+                (options.any_order, "--any-order compares queries"),
+                (!options.trees.is_empty(), "--tree tells a tie from another hit"),
+                (options.image.is_some(), "--image says which pixel a query serves"),
+            ];
+            match misplaced.iter().find(|(given, _)| *given) {
+                Some((_, what)) => Err(DiffError::NotForTrees(what)),
+                None => bvh::compare(a, b, options.questions),
+            }
+        }
+        _ => rays::compare(a, b, options, progress),
     }
+}
+
+/// The headers of two recordings, to find out which trees are theirs.
+///
+/// # Errors
+/// When one of them is no recording, or its header is damaged.
+pub fn headers(a: &[u8], b: &[u8]) -> Result<[Header; 2], DiffError> {
+    Ok([Rays::parse(a).map_err(DiffError::A)?.header, Rays::parse(b).map_err(DiffError::B)?.header])
 }

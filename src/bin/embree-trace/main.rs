@@ -34,7 +34,7 @@ Examples:
     embree-trace sponza.obj --savetrace sponza.rays sponza.bvh
   Choose the camera, and look at the picture too:
     embree-trace room.obj --camera 1,1.6,4/0,1,0 --fov 50 --savetrace a.rays a.bvh --output a.png
-  The same bytes on every x86-64 CPU, as golden files need them:
+  The same tree and the same queries on every x86-64 CPU, as golden files need them:
     embree-trace box.obj --isa sse42 --size 64x64 --spp 1 --savetrace box.rays box.bvh
   Only a picture, or nothing but the time it takes:
     embree-trace bunny.ply --integrator ao --spp 16 --output bunny.png
