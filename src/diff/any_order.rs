@@ -8,7 +8,7 @@
 //! Memory is bounded: by [`MOST_SORTED`] in the second step and [`MOST_LEFT`] in the third.
 
 use super::path_set::PathSet;
-use super::query::{Kept, Query, key, question_hash};
+use super::query::{COUNTED_FLAGS, Kept, Query, key, question_hash};
 use super::reader::query;
 use super::tally::Tally;
 use super::{DiffError, FormatError, Tolerance};
@@ -90,7 +90,7 @@ impl Digest {
         hasher.write(bytemuck::bytes_of(&[tnear, tfar, time]));
         hasher.write(bytemuck::bytes_of(&mask));
         hasher.write(bytemuck::bytes_of(&query.scene));
-        hasher.write(&[flags & (flag::HIT | flag::COHERENT | flag::UNDECIDED)]);
+        hasher.write(&[flags & (COUNTED_FLAGS | flag::HIT)]);
         query.rejects.iter().for_each(|reject| hasher.write(&reject.triangle.to_le_bytes()));
         let rest = hasher.finish();
         let question = question_hash(query.record);

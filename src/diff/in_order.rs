@@ -104,7 +104,12 @@ impl Walk<'_, '_, '_, '_> {
         let [a, b] = &mut self.windows;
         let (missing_a, missing_b) = (count.saturating_sub(a.len()), count.saturating_sub(b.len()));
         let (reader_a, reader_b) = (&mut self.readers.0, &mut self.readers.1);
-        let (ended_a, ended_b) = rayon::join(|| reader_a.keep(missing_a, a), || reader_b.keep(missing_b, b));
+        // For a few queries, waking another thread takes longer than they do.
+        let (ended_a, ended_b) = if missing_a.max(missing_b) > 16 * LEAST_KEPT {
+            rayon::join(|| reader_a.keep(missing_a, a), || reader_b.keep(missing_b, b))
+        } else {
+            (reader_a.keep(missing_a, a), reader_b.keep(missing_b, b))
+        };
         self.ended[0] |= ended_a.map_err(DiffError::A)?;
         self.ended[1] |= ended_b.map_err(DiffError::B)?;
         self.progress.advance(missing_a as u64);

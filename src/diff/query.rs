@@ -9,7 +9,7 @@ use std::hash::Hasher;
 use twox_hash::XxHash3_64;
 
 /// Bits of [`Record::flags`] that count by themselves. Others have no meaning yet, or are told by the hit and the rejects.
-const COUNTED_FLAGS: u8 = flag::COHERENT | flag::UNDECIDED;
+pub(super) const COUNTED_FLAGS: u8 = flag::COHERENT | flag::UNDECIDED | flag::INTERRUPTED;
 
 /// A query of one file.
 #[derive(Clone, Copy, Debug)]

@@ -6,12 +6,6 @@ use crate::diff::report::{First, Value};
 use crate::format::rays::Rays;
 use crate::progress::Progress;
 
-<<<<<<< HEAD
-/// Bits of [`Record::flags`] that have a meaning; a reader ignores the others.
-const KNOWN_FLAGS: u8 = flag::HIT | flag::COHERENT | flag::HAS_REJECTS | flag::UNDECIDED | flag::INTERRUPTED;
-
-=======
->>>>>>> 0863d74 (trace-diff: pairs up what is missing, added or changed, tells ties, counts by pixel, compares sets)
 /// Compares two files. What counts: the fields of every record, its rejects and its scene, and the scene fingerprint where both know
 /// it and no tolerance allows for other geometry. What is noted: Embree's version, the promise of an order, a file that was cut off.
 /// What is ignored: producer, thread, sequence number, chunks and codecs.

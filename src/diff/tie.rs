@@ -3,15 +3,8 @@
 use super::query::Query;
 use crate::format::bvh::{Bvh, flag as tree_flag};
 use crate::format::rays::{Header, NO_TRIANGLE, flag};
-use crate::geometry::{Ray, Triangle};
+use crate::replay::exact::tie;
 use std::cell::Cell;
-
-/// Rounding errors, in units of 2⁻²⁴, that a single-precision test of a ray and a triangle may make in a value, relative to the
-/// product of the lengths that it is computed from: about 9 operations (difference, cross product, dot product, sum), of each of two.
-const ROUNDINGS: f64 = 18.0;
-
-/// One rounding in single precision.
-const UNIT: f64 = 1.0 / (1 << 24) as f64;
 
 /// The trees of two recordings, as far as they are known.
 #[derive(Clone, Copy, Debug, Default)]
@@ -110,79 +103,12 @@ impl<'a> Ties<'a> {
                 let Some(second) = tree.triangles.get(other.record.triangle as usize) else { return false };
                 let ray = own.record.ray();
                 let flattened = tree.header.flags & tree_flag::FLATTENED != 0;
-                match [triangle, second].map(|triangle| distance(&ray, triangle, flattened)) {
-                    [Some(one), Some(other)] => (one.t - other.t).abs() <= one.error + other.error,
-                    _ => false,
-                }
+                tie(&ray, triangle, second, flattened)
             })
         })
     }
 
     pub(super) fn finish(self) -> Result<(), TreesError> {
         self.wrong.take().map_or(Ok(()), Err)
-    }
-}
-
-/// Where a ray meets a triangle, and how far single precision may be off.
-#[derive(Clone, Copy, Debug)]
-struct Distance {
-    t: f64,
-    error: f64,
-}
-
-/// None when the ray passes the triangle by more than rounding, or lies in its plane.
-fn distance(ray: &Ray, triangle: &Triangle, flattened: bool) -> Option<Distance> {
-    let (o, d) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
-    let [v0, v1, v2] = triangle.0.map(|vertex| vertex.as_dvec3());
-    let (e1, e2, c) = (v1 - v0, v2 - v0, v0 - o);
-    let normal = e1.cross(e2);
-    let den = normal.dot(d);
-    let r = c.cross(d);
-    let (u, v) = (r.dot(e2) * den.signum(), -r.dot(e1) * den.signum());
-    let w = den.abs() - u - v;
-
-    // An instance's vertices are rounded once more, at the magnitude of the coordinates.
-    let largest = [v0, v1, v2, o].iter().map(|p| p.abs().max_element()).fold(0.0, f64::max);
-    let reach = c.length() + if flattened { largest } else { 0.0 };
-    let error = ROUNDINGS * UNIT;
-    let edges = e1.length() + e2.length();
-    let den_error = error * e1.length() * e2.length() * d.length();
-    let outside = error * reach * d.length() * edges + den_error;
-    if den.abs() <= den_error || [u, v, w].into_iter().any(|value| value < -outside) {
-        return None;
-    }
-    let t = normal.dot(c) / den;
-    let t_error = (error * reach * e1.length() * e2.length() + t.abs() * den_error) / den.abs();
-    t.is_finite().then_some(Distance { t, error: t_error })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::geometry::Vec3;
-
-    fn triangle(z: f32) -> Triangle {
-        Triangle([Vec3::new(0.0, 0.0, z), Vec3::new(1.0, 0.0, z), Vec3::new(0.0, 1.0, z)])
-    }
-
-    /// Distances by hand: a ray down from z = 1 meets the plane z = 0 at t = 1, at half the speed at t = 2.
-    #[test]
-    fn distances_are_those_of_the_plane() {
-        let ray = |x: f32, speed: f32| Ray {
-            origin: Vec3::new(x, 0.25, 1.0),
-            direction: Vec3::new(0.0, 0.0, -speed),
-            tnear: 0.0,
-            tfar: f32::INFINITY,
-        };
-        let at = |x, speed, z| distance(&ray(x, speed), &triangle(z), false);
-        assert!((at(0.25, 1.0, 0.0).unwrap().t - 1.0).abs() < 1e-12);
-        assert!((at(0.25, 0.5, 0.0).unwrap().t - 2.0).abs() < 1e-12);
-        // The edge x + y = 1 is a hit, beyond it is none; a ray in the plane has no distance.
-        assert!(at(0.75, 1.0, 0.0).is_some() && at(0.7501, 1.0, 0.0).is_none());
-        let along = Ray { direction: Vec3::X, ..ray(-1.0, 1.0) };
-        assert!(distance(&along, &triangle(1.0), false).is_none());
-        // Rounding at this distance is some 1e-6: planes 1e-4 apart are told from one.
-        let error = at(0.25, 1.0, 0.0).unwrap().error;
-        assert!((1e-7..1e-5).contains(&error), "{error}");
     }
 }
