@@ -282,7 +282,7 @@ fn traces_are_equal_whatever_their_chunks_codec_and_producer() {
     );
 }
 
-type ChangeRecords = dyn Fn(&mut Vec<Record>);
+type ChangeRecords<'a> = dyn Fn(&mut Vec<Record>) + 'a;
 
 #[test]
 fn trace_diff_says_the_first_difference_and_how_many() {
@@ -392,7 +392,7 @@ fn pixels(count: u32, known: bool) -> Vec<Record> {
 fn what_is_missing_or_added_does_not_shift_the_rest() {
     let directory = tempfile::tempdir().unwrap();
     // How many pixels; what is changed, missing and added.
-    type Case = (&'static str, u32, &'static ChangeRecords, [u64; 3]);
+    type Case<'a> = (&'static str, u32, &'a ChangeRecords<'a>, [u64; 3]);
     let add_two = |r: &mut Vec<Record>| {
         for (at, x) in [(404, 7e6), (4002, 8e6)] {
             r.insert(at, Record { origin: Vec3::splat(x), ..r[at] });
@@ -648,7 +648,7 @@ fn golden_traces_see_every_change() {
     let shadow = recorded.iter().position(|record| record.is_occlusion()).unwrap();
     let changes: [(&[&str], &ChangeRecords); 3] = [
         (&["queries: 0 changed, 0 only in A, 1 only in B", "pixels: 255 of 256 agree"], &|r| {
-            drop(r.remove(shadow));
+            r.remove(shadow);
         }),
         (&["only in A, 0 only in B", "tfar: ", "purpose shadow"], &|r| {
             let shadows = r.iter_mut().filter(|record| record.is_occlusion());
