@@ -264,6 +264,6 @@ fn recordings_of_no_use_give_a_line_or_the_area_tree() {
     refused(&files, "--alpha -1", "alpha is -1");
     refused(&files, "--ci -1", "c_I is -1");
     refused(&files, "--train 0", "above 0");
-    refused(&Files::new(&triangles, &[], scene), "", "no query is left to train with");
+    refused(&Files::new(&triangles, &[], scene), "", "the recording is empty");
     refused(&Files::new(&triangles, &good, scene ^ 1), "", "of scene");
 }

@@ -585,7 +585,7 @@ fn golden_traces_see_every_change() {
     let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures");
     let here = directory.path();
     fs::create_dir(here.join("golden")).unwrap();
-    for name in ["cornell-box.obj", "cornell-box.mtl"] {
+    for name in ["cornell-box.obj", "cornell-box.mtl", "slivers.obj", "slivers.mtl"] {
         fs::copy(fixtures.join(name), here.join(name)).unwrap();
     }
     let options = here.join("golden/box.options");
@@ -633,11 +633,15 @@ fn golden_traces_see_every_change() {
     seen(&["first: ", "triangle ", "fingerprint"]);
     fs::write(&scene, &text).unwrap();
 
-    // Another quality of the tree.
+    // Another quality of the tree, where triangles are long enough to be split.
     let line = fs::read_to_string(&options).unwrap();
-    fs::write(&options, format!("{} --quality high\n", line.trim())).unwrap();
+    let slivers = line.replace("cornell-box.obj", "slivers.obj");
+    fs::write(&options, &slivers).unwrap();
+    assert_eq!(golden("--update").code, 0);
+    fs::write(&options, format!("{} --quality high\n", slivers.trim())).unwrap();
     seen(&["different: ", "nodes", "structure"]);
     fs::write(&options, &line).unwrap();
+    assert_eq!(golden("--update").code, 0);
 
     // A query less; shadow rays that end elsewhere, as with another constant of the integrator; and another mask.
     let path = here.join("golden/box.rays");

@@ -7,8 +7,7 @@ use crate::builder::Config;
 use crate::files::{self, FileError, OutputFile};
 use crate::format::bvh::{self, Contents, Geometry, NO_INSTANCE};
 use crate::format::rays::{
-    self, ChunkInfo, Codec, Header, MAX_CHUNK_RECORDS, NO_DEPTH, NO_PATH, NO_TRIANGLE, Purpose, RaysWriter,
-    Record,
+    self, ChunkInfo, Codec, Header, MAX_CHUNK_RECORDS, NO_DEPTH, NO_TRIANGLE, Purpose, RaysWriter, Record,
 };
 use crate::geometry::{Ray, Triangle};
 use crate::traverse::{All, Prepared, PreparedRay, Scratch, Traversal};
@@ -95,7 +94,8 @@ impl From<FileError> for WriteError {
 fn records(tree: &Tree, triangles: &[Triangle], rays: &[Ray]) -> Vec<Record> {
     let prepared = Prepared::new(tree.view(), triangles, &[]);
     let mut scratch = Scratch::default();
-    let record = |ray: &Ray| {
+    // Rays are drawn one by one: each stands for a pixel of its own when they are parted.
+    let record = |(path, ray): (u32, &Ray)| {
         let hit = prepared.closest_hit(Traversal::Odf, &PreparedRay::new(ray), &All, &mut (), &mut scratch);
         // A reader gets weights of the corners that say where on the triangle the hit is.
         let (u, v) =
@@ -111,14 +111,14 @@ fn records(tree: &Tree, triangles: &[Triangle], rays: &[Ray]) -> Vec<Record> {
             triangle: hit.map_or(NO_TRIANGLE, |hit| hit.triangle),
             u,
             v,
-            path: NO_PATH,
+            path,
             kind: rays::kind::CLOSEST_HIT,
             depth: NO_DEPTH,
             flags: if hit.is_some() { rays::flag::HIT } else { 0 },
             purpose: Purpose::Unknown as u8,
         }
     };
-    rays.iter().map(record).collect()
+    (0..).zip(rays).map(record).collect()
 }
 
 /// Weights of the second and third corner at a point of the triangle's plane.

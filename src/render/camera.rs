@@ -31,7 +31,7 @@ pub enum CameraError {
     )]
     SceneRange,
     #[error(
-        "no triangle of the scene has an area, so there is nothing that a camera could be chosen for: give --camera"
+        "no triangle of the scene has an area and coordinates below 1.8e18, as Embree wants them, so there is nothing that a camera could be chosen for: give --camera"
     )]
     NothingToSee,
     #[error("field of view {0}: expected degrees, at least 0.01 and at most 175")]
