@@ -187,7 +187,9 @@ fn depth_first_order_culls_what_waits_behind_a_hit() {
         let hit = prepared.closest_hit(traversal, &ray, &All, &mut counts, scratch);
         assert_eq!(hit, Some(Hit { t: 1.0, triangle: 1 }));
         // Root, its two children, the near one's two children; one triangle.
-        assert_eq!(counts, Counts { box_tests: 5, node_visits: 2, primitive_tests: 1 });
+        let expected =
+            Counts { box_tests: 5, node_visits: 2, primitive_tests: 1, leaf_visits: 1, block_tests: 1 };
+        assert_eq!(counts, expected);
         prepared.closest_hit(traversal, &ray, &All, &mut path, scratch);
         assert_eq!(path.steps, [Step::Inner(0), Step::Inner(2), Step::Leaf(5), Step::Triangle(1)]);
     }

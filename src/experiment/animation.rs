@@ -205,13 +205,9 @@ fn asked(tree: &Tree, frame: &Frame) -> Row {
         }
         (counts, mismatches)
     };
-    let add = |a: (Counts, u64), b: (Counts, u64)| {
-        let counts = Counts {
-            box_tests: a.0.box_tests + b.0.box_tests,
-            node_visits: a.0.node_visits + b.0.node_visits,
-            primitive_tests: a.0.primitive_tests + b.0.primitive_tests,
-        };
-        (counts, a.1 + b.1)
+    let add = |mut a: (Counts, u64), b: (Counts, u64)| {
+        a.0 += b.0;
+        (a.0, a.1 + b.1)
     };
     let (counts, mismatches) =
         frame.held_out.par_chunks(4096).map(ask).reduce(|| (Counts::default(), 0), add);

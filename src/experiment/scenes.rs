@@ -138,10 +138,9 @@ fn count(tree: &Prepared, queries: &[Query]) -> Counts {
         }
         counts
     };
-    let add = |a: Counts, b: Counts| Counts {
-        box_tests: a.box_tests + b.box_tests,
-        node_visits: a.node_visits + b.node_visits,
-        primitive_tests: a.primitive_tests + b.primitive_tests,
+    let add = |mut a: Counts, b: Counts| {
+        a += b;
+        a
     };
     queries.par_chunks(4096).map(count).reduce(Counts::default, add)
 }

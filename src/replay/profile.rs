@@ -34,7 +34,7 @@ impl Levels {
 /// Sums over queries.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Profile {
-    /// By level, the root's first: boxes of that level tested, inner nodes of it visited, primitives in its leaves tested.
+    /// By level, the root's first: boxes of that level tested, inner nodes of it visited, primitives in its leaves tested. The rest is 0.
     pub levels: Vec<Counts>,
     /// Distinct lines of 64 bytes that each query reads, summed.
     pub cache_lines: u64,
@@ -150,8 +150,12 @@ mod tests {
         cast(0.75, 100.0);
         // Past all boxes: the root's only.
         cast(7.0, 100.0);
-        let counts =
-            |box_tests, node_visits, primitive_tests| Counts { box_tests, node_visits, primitive_tests };
+        let counts = |box_tests, node_visits, primitive_tests| Counts {
+            box_tests,
+            node_visits,
+            primitive_tests,
+            ..Counts::default()
+        };
         assert_eq!(profile.levels, [counts(2, 1, 0), counts(3, 1, 3), counts(2, 0, 2)]);
         // 6 nodes of 32 bytes on 3 lines, 5 triangles of 36 bytes on 3; then the root's line.
         assert_eq!(profile.cache_lines, 6 + 1);

@@ -276,7 +276,13 @@ mod tests {
     fn merging_is_adding() {
         let query = |n: u64| Replayed {
             hit: n.is_multiple_of(2),
-            counts: Counts { box_tests: n, node_visits: n / 2, primitive_tests: 3 },
+            counts: Counts {
+                box_tests: n,
+                node_visits: n / 2,
+                primitive_tests: 3,
+                leaf_visits: 2,
+                block_tests: 1,
+            },
             verdict: [
                 Verdict::Agrees,
                 Verdict::Borderline,

@@ -223,7 +223,7 @@ fn tree_of<'a>(costs: &Costs, facts: &'a TreeFacts, tree: &TreeResult, first: &T
 }
 
 fn levels_of(profile: &Profile) -> Levels {
-    let level = |&Counts { box_tests, node_visits, primitive_tests }: &Counts| Level {
+    let level = |&Counts { box_tests, node_visits, primitive_tests, .. }: &Counts| Level {
         box_tests,
         node_visits,
         primitive_tests,

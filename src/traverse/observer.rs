@@ -42,7 +42,7 @@ pub trait Observer {
     #[inline(always)]
     fn primitive(&mut self, _triangle: &PreparedTriangle) {}
 
-    /// These triangles are tested, in this order.
+    /// These triangles, which lie in one block, are tested, in this order.
     #[inline(always)]
     fn primitives(&mut self, triangles: impl ExactSizeIterator<Item = PreparedTriangle>) {
         for triangle in triangles {
@@ -68,6 +68,10 @@ pub struct Counts {
     /// Inner nodes whose children were tested: on a wide tree, one vector operation each.
     pub node_visits: u64,
     pub primitive_tests: u64,
+    /// Leaves whose triangles were tested. Packets count them for rays that go alone only.
+    pub leaf_visits: u64,
+    /// Blocks of up to four triangles of one leaf that were tested together; of packets as above.
+    pub block_tests: u64,
 }
 
 impl Observer for Counts {
@@ -85,8 +89,14 @@ impl Observer for Counts {
     }
 
     #[inline(always)]
+    fn leaf(&mut self, _leaf: &Link) {
+        self.leaf_visits += 1;
+    }
+
+    #[inline(always)]
     fn primitives(&mut self, triangles: impl ExactSizeIterator<Item = PreparedTriangle>) {
         self.primitive_tests += triangles.len() as u64;
+        self.block_tests += 1;
     }
 }
 
@@ -126,5 +136,7 @@ impl std::ops::AddAssign for Counts {
         self.box_tests += other.box_tests;
         self.node_visits += other.node_visits;
         self.primitive_tests += other.primitive_tests;
+        self.leaf_visits += other.leaf_visits;
+        self.block_tests += other.block_tests;
     }
 }
