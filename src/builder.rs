@@ -77,6 +77,8 @@ pub enum Count {
     MinusOne,
     /// |L|^α: its primitives.
     All,
+    /// (ln |L|)^α: what T below a node follows most closely (the paper's section 4; `bvh-experiment static-cost`).
+    Log,
 }
 
 /// How to build.
@@ -200,7 +202,7 @@ pub fn build_with<P: Probability>(
     if references.list.is_empty() {
         return Ok(Tree { nodes: vec![Node::leaf(Aabb::EMPTY, 0, 0)], primitives: Vec::new() });
     }
-    let tree = if config.alpha == 1.0 {
+    let tree = if config.alpha == 1.0 && config.count != Count::Log {
         let weight = Linear::new(config.count);
         recursion::Builder { probability, weight, config, progress }.run(references)
     } else {

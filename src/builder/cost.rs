@@ -1,4 +1,4 @@
-//! What a split is taken to cost: (|L|-1)^α · P(L) + (|R|-1)^α · P(R), or with |L|^α (paper, section 2.4).
+//! What a split is taken to cost: (|L|-1)^α · P(L) + (|R|-1)^α · P(R), or with |L|^α or (ln |L|)^α (paper, sections 2.4 and 4).
 
 use super::{Config, Count};
 
@@ -10,7 +10,7 @@ pub trait Weight: Sync {
     fn free(&self) -> usize;
 }
 
-/// α = 1: the number itself, or less one.
+/// α = 1: the number itself, or less one; not its logarithm.
 #[derive(Clone, Copy, Debug)]
 pub struct Linear {
     less: usize,
@@ -36,7 +36,7 @@ impl Weight for Linear {
     }
 }
 
-/// Any other α: powers looked up, because a sweep asks for every number up to its size at every node.
+/// Any other α, and logarithms: looked up, because a sweep asks for every number up to its size at every node.
 #[derive(Clone, Debug)]
 pub struct Power {
     table: Vec<f32>,
@@ -45,8 +45,12 @@ pub struct Power {
 impl Power {
     /// Powers for up to `primitives`.
     pub fn new(config: &Config, primitives: usize) -> Power {
-        let less = (config.count == Count::MinusOne) as usize;
-        let power = |n: usize| (n.saturating_sub(less) as f64).powf(config.alpha) as f32;
+        let size = |n: usize| match config.count {
+            Count::MinusOne => n.saturating_sub(1) as f64,
+            Count::All => n as f64,
+            Count::Log => libm::log(n.max(1) as f64),
+        };
+        let power = |n: usize| size(n).powf(config.alpha) as f32;
         Power { table: (0..=primitives).map(power).collect() }
     }
 }
@@ -75,12 +79,13 @@ mod tests {
             (0.5, Count::MinusOne, [0.0, 1.0, 3.0]),
             (2.0, Count::All, [1.0, 4.0, 100.0]),
             (0.0, Count::MinusOne, [1.0, 1.0, 1.0]),
+            (1.0, Count::Log, [0.0, std::f32::consts::LN_2, std::f32::consts::LN_10]),
         ] {
             let config = Config { alpha, count, ..Config::default() };
             let power = Power::new(&config, 10);
             assert_eq!([1, 2, 10].map(|n| power.of(n)), expected);
             assert_eq!(power.free(), (expected[0] == 0.0) as usize);
-            if alpha == 1.0 {
+            if alpha == 1.0 && count != Count::Log {
                 assert_eq!([1, 2, 10].map(|n| Linear::new(count).of(n)), expected);
                 assert_eq!(Linear::new(count).free(), power.free());
             }

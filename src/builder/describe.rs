@@ -40,12 +40,13 @@ impl fmt::Display for Splits {
 impl FromStr for Count {
     type Err = String;
 
-    /// `n-1` or `n`.
+    /// `n-1`, `n` or `log-n`.
     fn from_str(text: &str) -> Result<Count, String> {
         match text {
             "n-1" => Ok(Count::MinusOne),
             "n" => Ok(Count::All),
-            _ => Err("expected n-1 or n".into()),
+            "log-n" => Ok(Count::Log),
+            _ => Err("expected n-1, n or log-n".into()),
         }
     }
 }
@@ -55,6 +56,7 @@ impl fmt::Display for Count {
         f.write_str(match self {
             Count::MinusOne => "n-1",
             Count::All => "n",
+            Count::Log => "log-n",
         })
     }
 }
@@ -108,7 +110,7 @@ mod tests {
         ] {
             assert!(text.parse::<Splits>().is_err(), "{text}");
         }
-        for text in ["n", "n-1"] {
+        for text in ["n", "n-1", "log-n"] {
             assert_eq!(text.parse::<Count>().map(|count| count.to_string()), Ok(text.into()));
         }
         assert!("m".parse::<Count>().is_err());

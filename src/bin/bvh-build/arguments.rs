@@ -56,7 +56,7 @@ pub struct Arguments {
     /// Exponent of the count in a side's cost, count^ALPHA · P
     #[arg(long, default_value_t = 1.0, value_name = "ALPHA", allow_negative_numbers = true)]
     pub alpha: f64,
-    /// The count in a side's cost: n-1 or n; without this, n with --splits spatial, which adds leaves, and n-1 else
+    /// The count in a side's cost: n-1, n or log-n; without this, n with --splits spatial, which adds leaves, and n-1 else
     #[arg(long, value_name = "COUNT")]
     pub count: Option<Count>,
     /// Most triangles in a leaf; above 1, subtrees become leaves where that does not raise the SAH cost
