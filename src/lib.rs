@@ -15,6 +15,7 @@
 //! | building | [`builder`], [`probability`], [`optimize`], [`training`], [`recipe`] | trees from triangles, and from rays how likely a box is hit |
 //! | moving | [`update`] | the tree of a frame, for the next one |
 //! | traversal | [`traverse`], [`replay`] | recorded queries over any tree: counts, and agreement with the recording |
+//! | cost | [`cost`] | what counts take on a machine |
 //! | results | [`compare`], [`report`], [`experiment`] | trees side by side; tables, JSON, heat maps; the paper's figures |
 //! | a window's logic | [`explore`] | walking a tree; where its work goes; what a query does, step by step |
 //! | on screen | `view` (feature) | the window `bvh-view`, and its screenshots |
@@ -32,6 +33,7 @@ pub mod builder;
 pub mod cli;
 pub mod compare;
 pub mod convert;
+pub mod cost;
 pub mod diff;
 #[cfg(feature = "embree")]
 pub mod embree;
