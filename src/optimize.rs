@@ -16,6 +16,9 @@
 //! | [`reinsertion`] | every subtree to its best place, many at a time | Meister and Bittner 2018 |
 //! | [`treelets`] | the top of every subtree put together in the best way | Karras and Aila 2013 |
 //!
+//! [`wide`] is an optimiser of its own, for the wide tree that a binary one is collapsed to; [`order`] and [`slots`] choose in which order
+//! occlusion queries visit children, a rule for each node or the order itself.
+//!
 //! The measure may be of one frame or of several ([`frames`]).
 //!
 //! All of them give the same tree, byte for byte, for any number of threads, unless a deadline ends them: the limits of the stages are counted
@@ -33,7 +36,9 @@ pub mod reinsertion;
 pub mod rotations;
 pub mod search;
 pub mod segments;
+pub mod slots;
 pub mod treelets;
+pub mod wide;
 pub mod working;
 
 use crate::builder::MAX_DEPTH;

@@ -111,6 +111,13 @@ impl Segments {
         self.0.is_empty()
     }
 
+    /// A ray as it is tested: origin and tnear, 1 / direction (NaN on an axis that cannot bound the ray) and tfar.
+    #[inline(always)]
+    pub fn lanes(&self, ray: u32) -> ([f32; 4], [f32; 4]) {
+        let Segment { origin, inverse } = self.0[ray as usize];
+        (origin.to_array(), inverse.to_array())
+    }
+
     /// How many of the rays in `list` overlap each box.
     pub fn count<const N: usize>(&self, list: &[u32], boxes: &[PaddedAabb; N]) -> [u32; N] {
         let lanes = Lanes::new(boxes);

@@ -57,6 +57,8 @@ impl Config {
 pub enum CollapseError {
     #[error("node {node} has {children} children: only binary trees can be collapsed")]
     NotBinary { node: usize, children: usize },
+    #[error("node {node} has {children} children, more than the {width} that are asked for")]
+    TooWide { node: usize, children: usize, width: usize },
     #[error("a width of {0}: from 2 to {MAX_WIDTH} children are possible")]
     Width(usize),
     #[error("a leaf of at most {0} primitives: from 1 to {LARGEST_LEAF} can be merged")]
