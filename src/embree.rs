@@ -15,7 +15,7 @@ pub mod testing;
 mod tree;
 
 pub use intersector::{BATCH_RECORDS, BatchSink, Hit, Intersector, Query, Stop};
-pub use plant::Planted;
+pub use plant::{Arrays, Planted};
 pub use settings::{Commit, Isa, Quality, Settings, TRI_ACCELS};
 pub use tree::{BuiltTree, TreeSource};
 

@@ -4,6 +4,7 @@ mod compare_support;
 
 use compare_support::files::{rays_bytes, records, tree_bytes};
 use compare_support::*;
+use embree_trace::builder::Splits;
 use embree_trace::format::bvh::{self, Bvh, Contents, fingerprint};
 use embree_trace::format::rays::{Rays, Record, flag};
 use embree_trace::geometry::{Ray, Triangle, Vec3};
@@ -55,8 +56,17 @@ fn verify(tree: &Tree, triangles: &[Triangle]) {
 }
 
 fn choose(triangles: &[Triangle], queries: &[Query], seconds: u64) -> Result<Chosen, RecipeError> {
-    let config =
-        auto::Config { budget: Duration::from_secs(seconds), c_i: 1.0, c_p: 1.0, max_leaf: auto::MAX_LEAF };
+    choose_with(triangles, queries, seconds, true)
+}
+
+fn choose_with(
+    triangles: &[Triangle],
+    queries: &[Query],
+    seconds: u64,
+    cuts: bool,
+) -> Result<Chosen, RecipeError> {
+    let budget = Duration::from_secs(seconds);
+    let config = auto::Config { budget, c_i: 1.0, c_p: 1.0, max_leaf: auto::MAX_LEAF, cuts };
     auto::choose(Scene { triangles, geometries: &[] }, queries, &config)
 }
 
@@ -151,6 +161,22 @@ fn the_cheapest_trial_wins_and_its_cost_is_what_a_traversal_counts() {
     assert!((cost(&area.tree, &triangles, &queries) - chosen.trials[0].cost).abs() < 1e-9);
     assert!((cost(&chosen.made.tree, &triangles, &queries) - winner.cost).abs() < 1e-9);
     verify(&chosen.made.tree, &triangles);
+}
+
+/// Where triangles may not be cut, each stands in one leaf.
+#[test]
+fn without_cuts_every_triangle_stands_once() {
+    // Long and thin: with cuts, they are cut.
+    let triangles = soup(300, 2.0, &mut Random(5));
+    let queries = queries(&triangles, &beam(500));
+    let cut = choose(&triangles, &queries, 600).expect("queries").made.tree;
+    let whole = choose_with(&triangles, &queries, 600, false).expect("queries");
+    assert!(cut.primitives.len() > triangles.len());
+    assert_eq!(whole.made.tree.primitives.len(), triangles.len());
+    assert!(whole.trials.iter().all(|trial| matches!(trial.recipe.builder.splits, Splits::Sweep)));
+    let different = whole.trials.iter().map(|trial| (trial.cost.to_bits(), trial.queries));
+    assert_eq!(different.collect::<std::collections::HashSet<_>>().len(), whole.trials.len());
+    verify(&whole.made.tree, &triangles);
 }
 
 #[test]

@@ -375,3 +375,65 @@ fn what_is_no_sequence_is_one_line() {
     good(here, &[&["--savetrace=dir", "--size", "8x8"], &frames[..]].concat());
     assert!(here.join("dir/0001.rays").exists());
 }
+
+/// A planted tree follows the frames, or each frame has its own: the same answers as Embree's trees
+/// give, whatever Embree itself does with its tree at a commit.
+#[test]
+fn planted_trees_follow_the_frames() {
+    let directory = TempDir::new().unwrap();
+    let here = directory.path();
+    let (names, _) = write_frames(here, &both(), 4);
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let isa = &["--isa", "sse42"];
+    for commit in ["refit", "rebuild"] {
+        let path = |kind: &str| format!("{kind}-{commit}");
+        let record = |kind: &str, more: &[&str]| {
+            let to = path(kind);
+            let common = ["--commit", commit, "--format", "json", "--savetrace", &to];
+            let arguments = [&names[..], SMALL, isa, &common, more].concat();
+            let output = trace(here, &arguments);
+            let stderr = String::from_utf8(output.stderr).unwrap();
+            assert!(output.status.success(), "{arguments:?}: {stderr}");
+            (serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap(), stderr)
+        };
+        let (own, _) = record("own", &[]);
+        // A tree a frame: split, binary, and the first one's for all that come.
+        fs::create_dir(here.join(path("trees"))).unwrap();
+        for number in 0..4 {
+            let from = format!("{}/{number:04}.bvh", path("own"));
+            let to = format!("{}/{number:04}.bvh", path("trees"));
+            let built = run(
+                env!("CARGO_BIN_EXE_bvh-build"),
+                here,
+                &[&from, &to, "--splits", "spatial", "--width", "4"],
+            );
+            assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+        }
+        let first = format!("{}/0000.bvh", path("trees"));
+        for (kind, trees) in [("following", first), ("each", path("trees"))] {
+            let (summary, stderr) = record(kind, &["--tree", &trees]);
+            assert!(stderr.is_empty(), "{stderr}");
+            for number in 0..4 {
+                let line = &summary["frames"][number];
+                assert_eq!(line["planted"]["trees"], 2, "{line}");
+                assert_eq!(line["rays"]["records"], own["frames"][number]["rays"]["records"]);
+                // The tree is one of this frame, and a traversal of it gives the recorded answers.
+                let pair = ["bvh", "rays"].map(|ending| format!("{}/{number:04}.{ending}", path(kind)));
+                let bytes = MappedFile::open(&here.join(&pair[0])).unwrap();
+                let bvh = Bvh::parse(&bytes).unwrap();
+                bvh.verify().unwrap();
+                assert!(bvh.header.producer.starts_with("planted in embree"));
+                let own = format!("{}/{number:04}.bvh", path("own"));
+                let files = [&own, &pair[0], &pair[1]];
+                let compared = run(env!("CARGO_BIN_EXE_bvh-compare"), here, &files.map(String::as_str));
+                let said = String::from_utf8_lossy(&compared.stderr);
+                assert_eq!(compared.status.code(), Some(0), "{pair:?}: {said}");
+            }
+        }
+        // A tree of the last frame is none of the first: one line, and the recording is Embree's.
+        let last = format!("{}/0003.bvh", path("trees"));
+        let (summary, stderr) = record("other", &["--tree", &last]);
+        assert_eq!(stderr.lines().filter(|line| line.contains("not planted")).count(), 1, "{stderr}");
+        assert!(summary["frames"][0].get("planted").is_none());
+    }
+}

@@ -7,9 +7,9 @@ mod embree_support;
 
 use embree_support::*;
 use embree_trace::builder::{self, Config, Splits, spatial};
-use embree_trace::embree::testing::{Arrays, Fault, Object, plant_arrays, slots};
+use embree_trace::embree::testing::{Fault, Object, plant_in_doubt, slots};
 use embree_trace::embree::{
-    BuiltTree, Commit, EmbreeError, Hit, Isa, Planted, Quality, Query, Scene, Settings, TreeSource,
+    Arrays, BuiltTree, Commit, EmbreeError, Hit, Isa, Planted, Quality, Query, Scene, Settings, TreeSource,
 };
 use embree_trace::format::bvh::{Geometry, NO_INSTANCE};
 use embree_trace::geometry::{Aabb, Triangle, Vec3};
@@ -139,7 +139,7 @@ impl Bed {
         let (triangles, geometries) = (self.triangles.clone(), self.geometries.clone());
         let arrays =
             Arrays { tree: tree.view(), triangles: &triangles, geometries: &geometries, order: None, flags };
-        plant_arrays(&mut self.scene, arrays, None)
+        self.scene.plant(arrays)
     }
 
     /// Whether queries traverse Embree's own tree. (Triangles may be NaN, which equals nothing.)
@@ -327,7 +327,7 @@ fn slots_are_in_the_order_that_any_hit_wants() {
         let (tree, order) = (tree.view(), order.as_deref());
         let arrays = Arrays { tree, triangles: &triangles, geometries: &geometries, order, flags: 0 };
         bed.scene.choose(None).unwrap();
-        plant_arrays(&mut bed.scene, arrays, None).unwrap();
+        bed.scene.plant(arrays).unwrap();
         slots(&bed.scene).unwrap().tree
     };
     for rule in [None, Some(0), Some(3)] {
@@ -512,7 +512,7 @@ fn what_does_not_fit_is_refused() {
         change(&mut tree, &mut triangles, &mut geometries, &mut flags, leaf, last);
         let arrays =
             Arrays { tree: tree.view(), triangles: &triangles, geometries: &geometries, order: None, flags };
-        match plant_arrays(&mut bed.scene, arrays, None) {
+        match bed.scene.plant(arrays) {
             Err(EmbreeError::NotPlanted(reason)) => {
                 assert!(reason.contains(expected), "{expected}: {reason}")
             }
@@ -599,7 +599,7 @@ fn hostile_arrays_change_no_answer() {
                 order: None,
                 flags,
             };
-            match plant_arrays(&mut bed.scene, arrays, None) {
+            match bed.scene.plant(arrays) {
                 Ok(_) => {
                     planted += 1;
                     drop((tree, triangles, geometries));
@@ -655,7 +655,7 @@ fn doubts_about_the_scene_plant_nothing() {
             order: None,
             flags: 0,
         };
-        match plant_arrays(&mut bed.scene, arrays, Some(fault)) {
+        match plant_in_doubt(&mut bed.scene, &arrays, fault) {
             Err(EmbreeError::NotPlanted(reason)) => {
                 assert!(reason.contains(expected), "{expected}: {reason}")
             }
@@ -725,7 +725,7 @@ fn an_empty_scene_has_nothing_to_plant_in() {
     let foreign = Bed::new(&soup(Faces::Triangles, 10, 0.2, 1), &settings);
     let arrays = foreign.arrays(&foreign.own.tree, 0);
     assert_eq!(arrays.geometries[0].instance, NO_INSTANCE);
-    let Err(EmbreeError::NotPlanted(reason)) = plant_arrays(&mut bed.scene, arrays, None) else {
+    let Err(EmbreeError::NotPlanted(reason)) = bed.scene.plant(arrays) else {
         panic!("planted in nothing");
     };
     assert!(reason.contains("the leaves hold 0 primitives, and 10 were attached"), "{reason}");

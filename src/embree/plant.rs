@@ -5,9 +5,49 @@
 //! doubt (`embree-shim/plant.hpp`).
 
 use super::{EmbreeError, Scene, ffi};
-use crate::format::bvh::Bvh;
+use crate::format::bvh::{Bvh, Geometry};
 use crate::format::checksum;
+use crate::geometry::Triangle;
 use crate::tree::TreeView;
+
+/// What is planted: what a `.bvh` holds, or what was made of that. Nothing in it is believed.
+#[derive(Clone, Copy, Debug)]
+pub struct Arrays<'a> {
+    pub tree: TreeView<'a>,
+    pub triangles: &'a [Triangle],
+    pub geometries: &'a [Geometry],
+    /// As in `ORDR`.
+    pub order: Option<&'a [u8]>,
+    /// As in the header.
+    pub flags: u32,
+}
+
+impl<'a> From<&'a Bvh<'_>> for Arrays<'a> {
+    fn from(bvh: &'a Bvh<'_>) -> Arrays<'a> {
+        let Bvh { tree, triangles, geometries, order, .. } = *bvh;
+        Arrays { tree, triangles, geometries, order, flags: bvh.header.flags }
+    }
+}
+
+impl Arrays<'_> {
+    /// As the shim wants them. An order that does not have one byte for each node is none.
+    fn file(&self) -> ffi::ShimTreeFile {
+        let TreeView { nodes, primitives } = self.tree;
+        let order = self.order.filter(|order| order.len() == nodes.len());
+        ffi::ShimTreeFile {
+            nodes: nodes.as_ptr().cast(),
+            node_count: nodes.len() as u64,
+            primitives: primitives.as_ptr(),
+            primitive_count: primitives.len() as u64,
+            triangles: self.triangles.as_ptr().cast(),
+            triangle_count: self.triangles.len() as u64,
+            geometries: self.geometries.as_ptr().cast(),
+            geometry_count: self.geometries.len() as u64,
+            order: order.map_or(std::ptr::null(), <[u8]>::as_ptr),
+            flags: self.flags,
+        }
+    }
+}
 
 /// A tree that was planted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,7 +82,6 @@ impl Planted {
 }
 
 /// What of a file goes along with its tree.
-#[derive(Default)]
 pub(super) struct Origin {
     /// Of the nodes: a tree with others has another order.
     nodes: u64,
@@ -50,6 +89,12 @@ pub(super) struct Origin {
 }
 
 impl Origin {
+    fn of(arrays: &Arrays) -> Origin {
+        let order = arrays.order.map(<[u8]>::to_vec);
+        let nodes = order.as_ref().map_or(0, |_| checksum(bytemuck::cast_slice(arrays.tree.nodes)));
+        Origin { nodes, order }
+    }
+
     /// The order of a tree that was read back, when that has the file's nodes.
     pub(super) fn order_of(&self, tree: TreeView) -> Option<Vec<u8>> {
         self.order.clone().filter(|_| checksum(bytemuck::cast_slice(tree.nodes)) == self.nodes)
@@ -67,13 +112,8 @@ impl Scene {
     /// # Errors
     /// [`EmbreeError::NotPlanted`] when the tree is not one of this scene, Embree's kernels cannot follow it, or the scene's
     /// memory is not laid out as expected. Then the scene keeps the tree that it has.
-    pub fn plant(&mut self, bvh: &Bvh) -> Result<Planted, EmbreeError> {
-        let planted = self.plant_with(&tree_file(bvh), None)?;
-        if let (Some(order), Some(origin)) = (bvh.order, self.planted.last_mut()) {
-            origin.nodes = checksum(bytemuck::cast_slice(bvh.tree.nodes));
-            origin.order = Some(order.to_vec());
-        }
-        Ok(planted)
+    pub fn plant<'a>(&mut self, file: impl Into<Arrays<'a>>) -> Result<Planted, EmbreeError> {
+        self.plant_with(&file.into(), None)
     }
 
     /// Of the planted tree that is traversed.
@@ -81,23 +121,23 @@ impl Scene {
         self.planted.get((self.chosen as usize).checked_sub(1)?)
     }
 
-    /// Plants arrays that need not be those of a valid file; `fault` falsifies what is read of the
-    /// scene, for tests.
+    /// `fault` falsifies what is read of the scene, for tests.
     pub(super) fn plant_with(
         &mut self,
-        file: &ffi::ShimTreeFile,
+        arrays: &Arrays,
         fault: Option<&ffi::ShimFault>,
     ) -> Result<Planted, EmbreeError> {
         let fault = fault.map_or(std::ptr::null(), |fault| fault as *const ffi::ShimFault);
         let mut planted = ffi::ShimPlanted::default();
         let mut error = ffi::no_error();
-        // SAFETY: the handle is live and, by `&mut self`, nobody asks it; the arrays of `file` are
-        // live for the call, of the lengths that stand beside them, and nothing in them is
-        // believed; `fault` is null or borrowed for this call.
-        let failed =
-            unsafe { ffi::shim_scene_plant(self.handle.as_ptr(), file, fault, &mut planted, &mut error) };
+        // SAFETY: the handle is live and, by `&mut self`, nobody asks it; the arrays are live for
+        // the call, of the lengths that stand beside them, and nothing in them is believed;
+        // `fault` is null or borrowed for this call.
+        let failed = unsafe {
+            ffi::shim_scene_plant(self.handle.as_ptr(), &arrays.file(), fault, &mut planted, &mut error)
+        };
         if failed == 0 {
-            self.planted.push(Origin::default());
+            self.planted.push(Origin::of(arrays));
             self.chosen = planted.number;
             return Ok(Planted::new(&planted));
         }
@@ -124,21 +164,5 @@ impl Scene {
             }
             _ => Err(EmbreeError::NotPlanted("the scene has been committed since".to_owned())),
         }
-    }
-}
-
-/// A file as the shim wants it; the arrays stay the file's.
-pub(super) fn tree_file(bvh: &Bvh) -> ffi::ShimTreeFile {
-    ffi::ShimTreeFile {
-        nodes: bvh.tree.nodes.as_ptr().cast(),
-        node_count: bvh.tree.nodes.len() as u64,
-        primitives: bvh.tree.primitives.as_ptr(),
-        primitive_count: bvh.tree.primitives.len() as u64,
-        triangles: bvh.triangles.as_ptr().cast(),
-        triangle_count: bvh.triangles.len() as u64,
-        geometries: bvh.geometries.as_ptr().cast(),
-        geometry_count: bvh.geometries.len() as u64,
-        order: bvh.order.map_or(std::ptr::null(), <[u8]>::as_ptr),
-        flags: bvh.header.flags,
     }
 }

@@ -1,10 +1,6 @@
-//! For the crate's own tests: the live tree read from falsified memory, so that every check of its layout is seen to work; and
-//! arrays planted that no reader of files would let pass.
+//! For the crate's own tests: the live tree read from falsified memory, so that every check of its layout is seen to work.
 
-use super::{BuiltTree, EmbreeError, Planted, Scene, ffi};
-use crate::format::bvh::Geometry;
-use crate::geometry::Triangle;
-use crate::tree::TreeView;
+use super::{Arrays, BuiltTree, EmbreeError, Planted, Scene, ffi};
 
 /// Objects of Embree's that the live tree is read from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -107,31 +103,7 @@ pub fn slots(scene: &Scene) -> Result<BuiltTree, EmbreeError> {
     scene.live_tree(Some(&ffi::ShimFault { slots: 1, ..NO_FAULT }))
 }
 
-/// What a `.bvh` would hold, unchecked.
-#[derive(Clone, Copy, Debug)]
-pub struct Arrays<'a> {
-    pub tree: TreeView<'a>,
-    pub triangles: &'a [Triangle],
-    pub geometries: &'a [Geometry],
-    pub order: Option<&'a [u8]>,
-    pub flags: u32,
-}
-
-/// [`Scene::plant`] of arrays, when the process is as `fault` says.
-pub fn plant_arrays(scene: &mut Scene, arrays: Arrays, fault: Option<Fault>) -> Result<Planted, EmbreeError> {
-    let Arrays { tree, triangles, geometries, order, flags } = arrays;
-    assert!(order.is_none_or(|order| order.len() == tree.nodes.len()), "an order is one byte a node");
-    let file = ffi::ShimTreeFile {
-        nodes: tree.nodes.as_ptr().cast(),
-        node_count: tree.nodes.len() as u64,
-        primitives: tree.primitives.as_ptr(),
-        primitive_count: tree.primitives.len() as u64,
-        triangles: triangles.as_ptr().cast(),
-        triangle_count: triangles.len() as u64,
-        geometries: geometries.as_ptr().cast(),
-        geometry_count: geometries.len() as u64,
-        order: order.map_or(std::ptr::null(), <[u8]>::as_ptr),
-        flags,
-    };
-    scene.plant_with(&file, fault.map(shim_fault).as_ref())
+/// [`Scene::plant`], when the process is as `fault` says.
+pub fn plant_in_doubt(scene: &mut Scene, arrays: &Arrays, fault: Fault) -> Result<Planted, EmbreeError> {
+    scene.plant_with(arrays, Some(&shim_fault(fault)))
 }

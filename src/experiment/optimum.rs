@@ -131,7 +131,7 @@ impl Setup {
         let scene = auto::Scene { triangles: &self.triangles, geometries: &[] };
         // Far more than it takes: the result must not depend on time.
         let budget = Duration::from_secs(3600);
-        let config = auto::Config { budget, c_i: 1.0, c_p: 1.0, max_leaf: 1 };
+        let config = auto::Config { budget, c_i: 1.0, c_p: 1.0, max_leaf: 1, cuts: true };
         Ok(auto::choose_with(scene, &queries, &config, exact)?.made.tree)
     }
 }

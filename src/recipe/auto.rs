@@ -14,6 +14,8 @@
 //! Steps 2 and 3 begin trials in the first two fifths of the time, step 4 in the first seven tenths. More queries than 65,536 make hardly better trees and take
 //! their time, so that is the last that more time is spent on.
 //!
+//! Where triangles may not be cut, step 1 is a full sweep, and step 3 has nothing to decide.
+//!
 //! In a scene of a dozen triangles or fewer, the optimiser of every recipe is the exact one: the best of all trees takes no time.
 //!
 //! A step for which no time is left is not begun, and optimisers stop at the end of it: what is best so far is the answer. Where the time suffices, the same input gives the same tree.
@@ -43,6 +45,8 @@ pub struct Config {
     pub c_p: f64,
     /// Most primitives in a leaf.
     pub max_leaf: usize,
+    /// Whether triangles may be cut, and stand in several leaves.
+    pub cuts: bool,
 }
 
 /// Most triangles of a scene for which all trees can be tried in no time.
@@ -135,24 +139,26 @@ pub fn choose_with(
     let (judges, fit): (Vec<&Query>, Vec<&Query>) = queries.iter().partition(|query| query.judges);
     let judges = even(&judges, JUDGES);
     let segments: Vec<Ray> = fit.iter().map(|query| query.segment).collect();
-    let mut splits = Splits::Spatial(spatial::Options::default());
+    let mut splits =
+        if config.cuts { Splits::Spatial(spatial::Options::default()) } else { Splits::Sweep };
     let recipes = Recipes { config, exact };
     let area = recipes.full(Heuristic::Sah, splits);
     let mut chooser = Chooser::new(scene, judges, config, &area)?;
     if chooser.judges.is_empty() || segments.is_empty() || chooser.seconds_left() <= 0.0 {
         return Ok(chooser.end(area, None, 0));
     }
-    let by_spatial = chooser.cost(&chooser.best.tree);
-    chooser.enter(&area, 0, by_spatial);
+    let by_area = chooser.cost(&chooser.best.tree);
+    chooser.enter(&area, 0, by_area);
     let few = even(&segments, QUICK);
     let mut tried = chooser.quick(&recipes, splits, &HEURISTICS[..EARLY], &few)?;
     let sweep = recipes.full(Heuristic::Sah, Splits::Sweep);
-    if chooser.attempt(&sweep, &[], BROWSING)?.is_some_and(|by_sweep| by_sweep < by_spatial) {
+    // Without cuts, a sweep is what all began with.
+    if config.cuts && chooser.attempt(&sweep, &[], BROWSING)?.is_some_and(|by_sweep| by_sweep < by_area) {
         splits = Splits::Sweep;
         tried.clear();
     }
     tried.extend(chooser.quick(&recipes, splits, &HEURISTICS[tried.len()..], &few)?);
-    for recipe in [&sweep, &area] {
+    for recipe in [&sweep, &area].into_iter().take(if config.cuts { 2 } else { 1 }) {
         chooser.attempt(&Recipe { stages: Vec::new(), ..recipe.clone() }, &[], BROWSING)?;
     }
     tried.sort_by(|a, b| a.1.total_cmp(&b.1));

@@ -2,13 +2,15 @@
 //!
 //! The first frame makes the scene, and chooses camera and lights; each other one gives its vertices to the same scene of
 //! Embree, which refits its tree or builds anew. Every frame is then recorded as a single scene is, with the same random
-//! numbers, so that two frames differ in what moved only.
+//! numbers, so that two frames differ in what moved only. Trees that are planted are planted anew
+//! after each commit.
 
 use crate::embree::{EmbreeError, Scene, Settings, TreeSource};
 use crate::files::{self, FileError};
 use crate::format::rays::Codec;
 use crate::mesh::frames::{FrameError, Pattern};
 use crate::mesh::{self, MeshError, Warnings, obj};
+use crate::plant::{self, PlantError, PlantedLine};
 use crate::progress::Progress;
 use crate::render::Job;
 use crate::render::camera::CameraError;
@@ -36,6 +38,8 @@ pub struct Sequence<'a> {
     pub wishes: Wishes,
     pub source: TreeSource,
     pub codec: Codec,
+    /// Trees to be planted, as [`plant::Frames`] takes them.
+    pub trees: Option<&'a Path>,
 }
 
 /// Why a sequence ended early. The frames before are recorded.
@@ -55,6 +59,8 @@ pub enum SequenceError {
     Camera(#[from] CameraError),
     #[error(transparent)]
     Pair(#[from] PairError),
+    #[error(transparent)]
+    Plant(#[from] PlantError),
 }
 
 impl Sequence<'_> {
@@ -81,6 +87,8 @@ impl Sequence<'_> {
         let mut settings = self.settings.clone();
         summary.warnings.extend(settings.suit(&mesh));
         let mut scene = Scene::new(&mesh, &settings)?;
+        let mut plants = Plants { trees: self.trees.map(plant::Frames::new), heard: None };
+        let mut planted = plants.plant(&mut scene, 0, self.digits(), &mut summary.warnings)?;
         seconds.build = clock.lap();
         let (triangles, _) = scene.triangles();
         let size = [self.job.width, self.job.height];
@@ -100,9 +108,12 @@ impl Sequence<'_> {
                 seconds = Seconds { read: clock.lap(), ..Seconds::default() };
                 scene.update(&vertices)?;
                 scenery.shapes.replace(scene.triangles().0);
+                planted = plants.plant(&mut scene, number, self.digits(), &mut summary.warnings)?;
                 seconds.build = clock.lap();
             }
-            let (line, rendered) = self.record_frame(number, file, &scene, &scenery, seconds, &progress)?;
+            let (mut line, rendered) =
+                self.record_frame(number, file, &scene, &scenery, seconds, &progress)?;
+            line.planted = planted.take();
             summary.warnings.extend(line.warning.iter().map(|line| format!("{}: {line}", file.display())));
             summary.seconds.add(&line.seconds);
             summary.frames.push(line);
@@ -112,6 +123,11 @@ impl Sequence<'_> {
         summary.queries = query_lines(&tally);
         summary.queries_per_second = tally.total().queries as f64 / summary.seconds.render;
         Ok(summary)
+    }
+
+    /// As many digits as the last frame needs: the order of the names is that of the frames.
+    fn digits(&self) -> usize {
+        (self.files.len() - 1).to_string().len().max(4)
     }
 
     /// Records the scene as it is committed now. `seconds` are those spent on the frame so far.
@@ -125,9 +141,7 @@ impl Sequence<'_> {
         progress: &Progress,
     ) -> Result<(FrameLine, Rendered), SequenceError> {
         let mut clock = Clock::start();
-        let of = self.files.len();
-        // As many digits as the last frame needs: the order of the names is that of the frames.
-        let digits = (of - 1).to_string().len().max(4);
+        let (of, digits) = (self.files.len(), self.digits());
         let path = |ending: &str| self.directory.join(format!("{number:0digits$}.{ending}"));
         let (rays, bvh) = (path("rays"), path("bvh"));
         let pair = Pair { rays: &rays, bvh: &bvh, codec: self.codec, source: self.source };
@@ -142,8 +156,38 @@ impl Sequence<'_> {
         let rendered = render(scene, scenery, &self.job, Some(&recorder), progress)?;
         let rays = pair.finish(recorder)?;
         seconds.render = clock.lap();
-        let line = FrameLine { number: number as u64, file, commit, tree, rays, seconds, warning };
+        let line =
+            FrameLine { number: number as u64, file, commit, tree, planted: None, rays, seconds, warning };
         Ok((line, rendered))
+    }
+}
+
+/// What is planted in the frames.
+struct Plants<'a> {
+    trees: Option<plant::Frames<'a>>,
+    /// Why the last one was left out: the same of each frame is worth one mention.
+    heard: Option<String>,
+}
+
+impl Plants<'_> {
+    fn plant(
+        &mut self,
+        scene: &mut Scene,
+        number: usize,
+        digits: usize,
+        warnings: &mut Vec<String>,
+    ) -> Result<Option<PlantedLine>, PlantError> {
+        let Some(trees) = &mut self.trees else { return Ok(None) };
+        match trees.plant(scene, number, digits)? {
+            plant::Outcome::Planted(line) => Ok(Some(line)),
+            plant::Outcome::LeftOut(warning) => {
+                if self.heard.as_ref() != Some(&warning) {
+                    warnings.push(format!("frame {number}: {warning}"));
+                    self.heard = Some(warning);
+                }
+                Ok(None)
+            }
+        }
     }
 }
 

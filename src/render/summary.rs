@@ -85,8 +85,11 @@ pub struct FrameLine {
     /// How frames behind the first are committed.
     pub commit: &'static str,
     pub tree: TreeLine,
+    /// The tree that was traversed in place of Embree's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub planted: Option<PlantedLine>,
     pub rays: RaysLine,
-    /// `build` is the commit.
+    /// `build` is the commit, and planting.
     pub seconds: Seconds,
     /// About the tree; it is among those of the summary, too.
     #[serde(skip)]
@@ -272,6 +275,17 @@ impl Summary {
     fn write_frames(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let Some(first) = self.frames.first() else { return Ok(()) };
         writeln!(f, "trees    {}, commit {}", first.tree.producer, first.commit)?;
+        let planted: Vec<&PlantedLine> =
+            self.frames.iter().filter_map(|frame| frame.planted.as_ref()).collect();
+        if let Some(PlantedLine { path, .. }) = planted.first() {
+            let seconds: f64 = planted.iter().map(|line| line.seconds).sum();
+            writeln!(
+                f,
+                "planted  {path} and what follows it, in {} of {} frames, in {seconds:.3} s",
+                planted.len(),
+                self.frames.len()
+            )?;
+        }
         writeln!(
             f,
             "{:<9}{:>6} {:>12} {:>10} {:>9} {:>9} {:>9}  recording",

@@ -47,6 +47,10 @@ pub struct Arguments {
     /// triangles)
     #[arg(long, default_value = "binned", value_name = "KIND")]
     pub splits: Splits,
+    /// Cuts no triangle, so that each stands in one leaf: for a program whose filters must see it once. Only --heuristic auto
+    /// cuts without being asked to
+    #[arg(long)]
+    pub no_splits: bool,
     /// With --splits spatial: most references that may be added, as a share of the triangles
     #[arg(long, value_name = "SHARE", allow_negative_numbers = true)]
     pub max_duplication: Option<f64>,

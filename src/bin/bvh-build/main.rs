@@ -54,6 +54,9 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
     if !cuts && (arguments.max_duplication.is_some() || arguments.overlap.is_some()) {
         return Err(Failure::new("--max-duplication and --overlap are for --splits spatial: add that"));
     }
+    if cuts && arguments.no_splits {
+        return Err(Failure::new("--splits spatial cuts triangles, and --no-splits forbids it"));
+    }
     if let Some(width) = arguments.width {
         arguments.collapsing(width).check()?;
     }
@@ -65,6 +68,9 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
     }
     let bytes = MappedFile::open(&arguments.input)?;
     let before = Bvh::parse(&bytes).map_err(|error| Failure::in_file(&arguments.input, error))?;
+    if arguments.binary && arguments.no_splits && before.header.flags & flag::SPATIAL_SPLITS != 0 {
+        return Err(Failure::new("the tree has spatial splits, which --binary keeps and --no-splits forbids"));
+    }
     let training = arguments.training(&before, ranks)?;
     let training_queries = training.segments.all;
     let output = (ranks.rank() == 0).then(|| OutputFile::create(&arguments.output)).transpose()?;
@@ -186,6 +192,7 @@ impl Arguments {
                 c_p: self.cp,
                 // Collapsing makes leaves itself.
                 max_leaf: if self.width.is_some() { 1 } else { auto::MAX_LEAF },
+                cuts: !self.no_splits,
             };
             let chosen = auto::choose(scene, &training.queries, &config)?;
             let report = chosen.report();

@@ -47,6 +47,7 @@ Examples:
     embree-trace walk_*.obj --savetrace walk
     embree-trace walk_*.obj --commit rebuild --savetrace rebuilt
     bvh-compare walk/0007.bvh rebuilt/0007.bvh walk/0007.rays
+    embree-trace walk_*.obj --tree ours.bvh --savetrace planted
 
   Record a program that uses Embree (see embree-trace record --help):
     embree-trace record --savetrace casts.rays built.bvh -- blender -b scene.blend -f 1
@@ -118,9 +119,10 @@ struct Arguments {
     /// Embree's structure by name, such as bvh4.triangle4v or qbvh8.triangle4
     #[arg(long, value_name = "NAME")]
     tri_accel: Option<String>,
-    /// Plants the tree of a .bvh of this scene: Embree's kernels traverse it in place of their own. What is no tree for this scene is left
-    /// out, with a warning
-    #[arg(long, value_name = "BVH")]
+    /// Plants the tree of a .bvh of this scene: Embree's kernels traverse it in place of their own.
+    /// What is no tree for this scene is left out, with a warning. With frames, the tree of the
+    /// first one, which then follows, or a directory with a tree for each: 0000.bvh, 0001.bvh, …
+    #[arg(long, value_name = "BVH|DIR")]
     tree: Option<PathBuf>,
     /// Keeps faces of four corners as Embree quads
     #[arg(long)]
@@ -293,12 +295,6 @@ fn plan(arguments: &Arguments) -> Result<Plan<'_>, Failure> {
         fov_degrees: arguments.fov,
     };
     wishes.check()?;
-    if let Some(path) = arguments.tree.as_deref().filter(|_| arguments.scene.len() > 1) {
-        return Err(Failure::new(format!(
-            "{}: a tree is planted in one scene, not in frames",
-            path.display()
-        )));
-    }
     let image = match arguments.output.as_deref() {
         Some(path) if arguments.scene.len() > 1 => {
             return Err(Failure::new(format!(
@@ -354,6 +350,7 @@ fn record_frames(arguments: &Arguments, plan: &Plan, directory: &Path) -> Result
         wishes: plan.wishes,
         source: arguments.bvh.source(),
         codec: codec(arguments),
+        trees: arguments.tree.as_deref(),
     }
     .record()?;
     warn(&summary);
