@@ -24,7 +24,23 @@ mod embree {
     /// environment variable `EMBREE_MAJOR` asks for one of them.
     const VERSIONS: [&str; 2] = ["3", "4"];
     /// Sources of the shim that the preload library needs, too; none of them calls Embree.
-    const SHARED: [&str; 4] = ["faces.cpp", "live_bvh.cpp", "memory.cpp", "tree.cpp"];
+    const SHARED: [&str; 12] = [
+        "faces.cpp",
+        "live_bvh.cpp",
+        "memory.cpp",
+        "pages.cpp",
+        "plant.cpp",
+        "plant_blocks.cpp",
+        "plant_check.cpp",
+        "plant_cover.cpp",
+        "plant_file.cpp",
+        "plant_lanes.cpp",
+        "plant_tree.cpp",
+        "tree.cpp",
+    ];
+    /// Sources of the preload library that stand between a query and Embree: the one that only plants has none of them.
+    const ASKING: [&str; 4] =
+        ["preload_embree4.cpp", "preload_filters.cpp", "preload_queries.cpp", "preload_thread.cpp"];
 
     /// Checks that the packages are there, compiles the shim and the preload library, binds their C ABI.
     pub fn build() -> Result<(), String> {
@@ -55,18 +71,37 @@ mod embree {
         source.file_name().is_some_and(|name| name.to_string_lossy().starts_with(PRELOAD))
     }
 
-    /// Links the preload library, which goes into the binary. It is loaded into programs that know nothing of it: it brings
-    /// its own C++ library, shows nothing but Embree's names, and needs none of them.
+    /// Makes the preload libraries, which go into the binary: one that records, and plants where it is asked to, and one that
+    /// only plants.
     fn link_preload(shim: &cc::Build, sources: &[PathBuf], out: &Path) -> Result<(), String> {
         let shared = SHARED.map(|name| Path::new(DIRECTORY).join(name));
+        let all: Vec<&PathBuf> = sources.iter().filter(|source| is_preload(source)).chain(&shared).collect();
+        let objects = shim
+            .clone()
+            .flag("-fvisibility=hidden")
+            .files(&all)
+            .out_dir(out.join("preload"))
+            .try_compile_intermediates()
+            .map_err(|error| format!("cannot compile the preload library: {error}"))?;
+        link(shim, &objects, &out.join("preload.so"))?;
+        // Objects come in the order of their sources.
+        let is_asking = |source: &Path| ASKING.iter().any(|name| source.ends_with(name));
+        let planting = all.iter().zip(objects).filter(|(source, _)| !is_asking(source));
+        let planting: Vec<PathBuf> = planting.map(|(_, object)| object).collect();
+        link(shim, &planting, &out.join("preload_plant.so"))
+    }
+
+    /// Links a library that is loaded into programs that know nothing of it: it brings its own C++ library, shows nothing but
+    /// Embree's names, and needs none of them.
+    fn link(shim: &cc::Build, objects: &[PathBuf], library: &Path) -> Result<(), String> {
         let output = shim
             .get_compiler()
             .to_command()
-            .args(["-fvisibility=hidden", "-shared", "-static-libstdc++", "-static-libgcc"])
+            .args(["-shared", "-static-libstdc++", "-static-libgcc"])
             .arg(format!("-Wl,--version-script={DIRECTORY}/preload.map"))
             .args(["-Wl,-Bsymbolic", "-Wl,--no-undefined", "-o"])
-            .arg(out.join("preload.so"))
-            .args(sources.iter().filter(|source| is_preload(source)).chain(&shared))
+            .arg(library)
+            .args(objects)
             .output()
             .map_err(|error| format!("cannot run the C++ compiler: {error}: {INSTALL}"))?;
         if !output.status.success() {

@@ -1,5 +1,6 @@
 /* What the preload library, inside the recorded program, and embree-trace, which started it, share: a mapping with queries
- * and counters, and one file per committed scene. Data flows one way, but for `stop`.
+ * and counters, and one file per committed scene; and, where trees are to be planted, a table of them and a list of what became
+ * of each scene. Data flows one way, but for `stop` and the table.
  *
  * The mapping: ExchangeHeader; u32 numbers[EXCHANGE_SCENES]; u8 captures[EXCHANGE_CAPTURES]; slots. A thread of the program
  * owns a slot, fills it and marks it full; embree-trace empties it and marks it free. `count` is right at any moment, so what
@@ -15,7 +16,7 @@
 #include "shim.h"
 
 /* Changes with every change of this file. */
-#define EXCHANGE_MAGIC 0x3430684378457445ull
+#define EXCHANGE_MAGIC 0x3530684378457445ull
 
 enum {
   EXCHANGE_SLOTS = 256,          /* threads that can record at a time */
@@ -107,5 +108,46 @@ typedef struct ExchangeScene {
   char producer[64];
   char doubt[192];
 } ExchangeScene;
+
+/* The trees that are to be planted, a file without a name: ExchangeTrees, and `count` of ExchangeTree. */
+typedef struct ExchangeTrees {
+  uint64_t magic;
+  uint64_t count;
+  char outcomes[EXCHANGE_PATH]; /* where each ExchangeOutcome is appended, whole */
+} ExchangeTrees;
+
+/* A `.bvh` whose checksums are right. Where its arrays start, in bytes; they are read from the file itself. */
+typedef struct ExchangeTree {
+  char path[EXCHANGE_PATH]; /* absolute, zero terminated */
+  uint64_t bytes;           /* of the file, which is another one when it has others, or another number */
+  uint64_t inode;
+  uint64_t nodes, node_count;
+  uint64_t primitives, primitive_count;
+  uint64_t triangles, triangle_count;
+  uint64_t geometries, geometry_count;
+  uint64_t order; /* 0: none */
+  uint32_t flags; /* SHIM_FILE_* and others */
+  uint32_t unused;
+} ExchangeTree;
+
+/* What became of a committed scene. */
+enum {
+  EXCHANGE_PLANTED = 1,
+  EXCHANGE_LEFT = 2,    /* a tree with its geometries was not planted; `reason` says why */
+  EXCHANGE_UNKNOWN = 3, /* no tree has its geometries; told once a scene */
+  EXCHANGE_CHANGES = 4, /* committed with changes too often; nothing more is planted in it */
+  EXCHANGE_FOREIGN = 5  /* the process calls a library that is neither libembree3 nor libembree4 */
+};
+
+typedef struct ExchangeOutcome {
+  uint32_t process;
+  uint32_t scene;   /* of the process's scenes, from 0 */
+  uint32_t commit;  /* of those of this scene that changed something, from 0 */
+  uint32_t outcome; /* EXCHANGE_* */
+  uint64_t tree;    /* of the table */
+  double seconds;   /* of the commit that went into it */
+  ShimPlanted planted;
+  char reason[256];
+} ExchangeOutcome;
 
 #endif

@@ -102,6 +102,15 @@ bool PlantedTree::is_current(const Ground& ground) const {
   });
 }
 
+bool PlantedTree::is_restored(const Ground& ground) const {
+  const std::vector<LiveBvh> found = find_live_bvhs(attached(ground, nullptr), nullptr);
+  return std::all_of(accels_.begin(), accels_.end(), [&](const Accel& accel) {
+    return std::any_of(found.begin(), found.end(), [&](const LiveBvh& bvh) {
+      return bvh.root == accel.bvh.root && bvh.root_address == accel.bvh.root_address;
+    });
+  });
+}
+
 const std::uint8_t* PlantedTree::places(std::uint64_t node) const noexcept {
   for (const Accel& accel : accels_) {
     const PlantedBlocks& blocks = accel.blocks;

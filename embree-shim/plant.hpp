@@ -49,6 +49,9 @@ class PlantedTree final : public SlotOrder {
   // Whether the scene still traverses all of ours after another commit. Throws Doubt when that
   // cannot be known: then this must never go away.
   bool is_current(const Ground& ground) const;
+  // Whether, after `restore` and another commit, the scene still traverses the trees that ours can
+  // take the place of again. Throws Doubt when that cannot be known.
+  bool is_restored(const Ground& ground) const;
 
   // The order of the file in place of the slots'.
   const std::uint8_t* places(std::uint64_t node) const noexcept override;

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "live_bvh.hpp"
 #include "preload_exchange.hpp"
 #include "preload_scenes.hpp"
 #include "record.hpp"
@@ -77,7 +78,9 @@ class Writer {
     ExchangeScene header{};
     shim::Tree tree;
     try {
-      tree = shim::read_live_tree(attached_, nullptr);
+      const shim::PlantedTree* planted = scene_.planting.current();
+      if (planted != nullptr && planted->splits()) attached_.spatial_splits = true;
+      tree = shim::read_live_scene(attached_, nullptr, nullptr, planted).tree;
     } catch (const shim::Doubt& doubt) {
       tree = shim::Tree();
       std::snprintf(header.doubt, sizeof header.doubt, "%s", doubt.what());

@@ -136,3 +136,11 @@ RTCFilterFunctionN wrapped(RTCFilterFunctionN filter) noexcept {
 }
 
 }  // namespace preload
+
+void rtcSetGeometryIntersectFilterFunction(RTCGeometry geometry, RTCFilterFunctionN filter) {
+  preload::real().rtcSetGeometryIntersectFilterFunction(geometry, preload::wrapped(filter));
+}
+
+void rtcSetGeometryOccludedFilterFunction(RTCGeometry geometry, RTCFilterFunctionN filter) {
+  preload::real().rtcSetGeometryOccludedFilterFunction(geometry, preload::wrapped(filter));
+}

@@ -15,6 +15,7 @@
 #include <utility>
 
 #include "preload_exchange.hpp"
+#include "preload_trees.hpp"
 
 namespace preload {
 namespace {
@@ -114,6 +115,12 @@ Library load() noexcept {
   warn_of_two(library.version);
   ExchangeHeader* header = exchange();
   if (header != nullptr && !library.is_known()) store(header->foreign, 1u);
+  const Trees* planted = trees();
+  if (planted != nullptr && !library.is_known()) {
+    ExchangeOutcome outcome{};
+    outcome.outcome = EXCHANGE_FOREIGN;
+    planted->report(outcome);
+  }
   return library;
 }
 

@@ -14,7 +14,7 @@ namespace preload {
   X(rtcSetSharedGeometryBuffer) X(rtcSetNewGeometryBuffer) X(rtcUpdateGeometryBuffer)                                    \
   X(rtcSetGeometryIntersectFilterFunction) X(rtcSetGeometryOccludedFilterFunction) X(rtcSetGeometryInstancedScene)       \
   X(rtcSetGeometryTransform) X(rtcSetGeometryTransformQuaternion) X(rtcGetGeometryTransform) X(rtcGetGeometryBufferData) \
-  X(rtcGetSceneDevice) X(rtcReleaseDevice) X(rtcGetDeviceProperty) X(rtcGetSceneLinearBounds)                            \
+  X(rtcGetGeometry) X(rtcGetSceneDevice) X(rtcReleaseDevice) X(rtcGetDeviceProperty) X(rtcGetSceneLinearBounds)                            \
   X(rtcIntersect1) X(rtcIntersect4) X(rtcIntersect8) X(rtcIntersect16) X(rtcOccluded1) X(rtcOccluded4) X(rtcOccluded8)   \
   X(rtcOccluded16)
 

@@ -1,5 +1,5 @@
 // Decorates the calls that make, fill and commit scenes: follows which geometries are attached where, and has every
-// committed scene captured, before the program can change what it was built from.
+// committed scene planted in and captured, before the program can change what it was built from.
 //
 // The registry is never freed: the program may use Embree until its last moment. One lock guards it; no query takes it but
 // the first of a thread after a commit.
@@ -9,7 +9,6 @@
 #include <unordered_map>
 
 #include "preload_exchange.hpp"
-#include "preload_filters.hpp"
 #include "preload_scenes.hpp"
 
 namespace preload {
@@ -40,10 +39,10 @@ Registry* made() noexcept {
   return new Registry;
 }
 
-// Runs `work` under the lock, unless this process is not recorded. What cannot be followed ends the recording, not the program.
+// Runs `work` under the lock, unless this process is not followed. What cannot be followed ends the recording, not the program.
 template <typename Work>
 void follow(Work&& work) noexcept {
-  if (exchange() == nullptr || !real().is_known()) return;
+  if (!follows()) return;
   try {
     const std::lock_guard<std::mutex> lock(registry().lock);
     work(registry());
@@ -100,40 +99,66 @@ void attach(RTCScene scene, RTCGeometry geometry, unsigned id) noexcept {
   });
 }
 
-// Captures the scene's last commit, if nobody has. Called without the registry's lock.
+// What makes a commit another one. Called with the registry's lock.
+std::vector<std::uint64_t> signature_of(const Scene& scene) {
+  std::vector<std::uint64_t> signature{scene.changes};
+  for (const auto& [id, geometry] : scene.geometries) {
+    if (!geometry->enabled) continue;
+    const std::uint64_t instanced = geometry->instanced == nullptr ? 0 : geometry->instanced->revision;
+    signature.insert(signature.end(),
+                     {id, reinterpret_cast<std::uintptr_t>(geometry.get()), geometry->changes, instanced});
+  }
+  return signature;
+}
+
+// The scene for the planter, without its number of commits.
+Committed committed(const Scene& scene, const std::vector<Attachment>& attachments) {
+  Committed found{scene.handle, scene.index, 0, false, scene.spatial_splits, false, {}};
+  for (const Attachment& attachment : attachments) {
+    const Geometry& geometry = attachment.state;
+    const bool quads = geometry.type == RTC_GEOMETRY_TYPE_QUAD;
+    if ((!quads && geometry.type != RTC_GEOMETRY_TYPE_TRIANGLE) || geometry.time_steps > 1) {
+      found.others = true;
+      continue;
+    }
+    const std::uint64_t faces = geometry.vertices.set && geometry.indices.set ? geometry.indices.count : 0;
+    if (faces != 0) found.counts.push_back({attachment.id, quads ? 1u : 0u, quads ? 2 * faces : faces});
+  }
+  return found;
+}
+
+// Plants in the scene as it was committed last and captures it, if nobody has. Called without the registry's lock.
 void capture(Scene& scene) {
   const std::lock_guard<std::mutex> lock(scene.commit);
   if (!scene.pending.load(std::memory_order_acquire)) return;
   std::vector<Attachment> attachments;
   std::vector<std::uint64_t> signature;
+  Committed now{};
   {
     const std::lock_guard<std::mutex> reading(registry().lock);
-    signature.push_back(scene.changes);
+    signature = signature_of(scene);
     for (const auto& [id, geometry] : scene.geometries) {
       if (!geometry->enabled) continue;
       std::shared_ptr<const Capture> instanced;
       if (geometry->instanced != nullptr) instanced = geometry->instanced->capture;
-      signature.insert(signature.end(), {id, reinterpret_cast<std::uintptr_t>(geometry.get()), geometry->changes,
-                                         reinterpret_cast<std::uintptr_t>(instanced.get())});
       attachments.push_back({id, geometry, *geometry, std::move(instanced)});
     }
+    now = committed(scene, attachments);
   }
+  now.commit = scene.commits;
+  now.changed = signature != scene.signature;
+  scene.planting.after_commit(now);
   std::shared_ptr<const Capture> made = scene.capture;
-  if (made == nullptr || signature != scene.signature) {
-    made = write_capture(scene, attachments);
+  if (exchange() != nullptr && (made == nullptr || now.changed)) made = write_capture(scene, attachments);
+  const std::lock_guard<std::mutex> writing(registry().lock);
+  if (now.changed) {
     scene.signature = std::move(signature);
     scene.commits++;
+    scene.revision++;
   }
-  const std::lock_guard<std::mutex> writing(registry().lock);
   scene.capture.swap(made);
   scene.pending.store(false, std::memory_order_release);
   registry().epoch.fetch_add(1, std::memory_order_acq_rel);
-}
-
-void before_commit(RTCScene handle) noexcept {
-  follow([&](Registry& registry) {
-    if (const auto scene = find(registry.scenes, handle)) scene->pending.store(true, std::memory_order_release);
-  });
 }
 
 std::shared_ptr<Scene> scene_of(RTCScene handle) {
@@ -141,8 +166,22 @@ std::shared_ptr<Scene> scene_of(RTCScene handle) {
   return find(registry().scenes, handle);
 }
 
+// Threads that join a commit come here also while others are in it, or behind it and asking already.
+void before_commit(RTCScene handle) noexcept {
+  if (!follows()) return;
+  try {
+    const auto scene = scene_of(handle);
+    if (scene == nullptr) return;
+    const std::lock_guard<std::mutex> lock(scene->commit);
+    scene->planting.before_commit();
+    scene->pending.store(true, std::memory_order_release);
+  } catch (...) {
+    fail("there is no memory left to follow the program's scenes");
+  }
+}
+
 void after_commit(RTCScene handle) noexcept {
-  if (exchange() == nullptr || !real().is_known()) return;
+  if (!follows()) return;
   try {
     if (const auto scene = scene_of(handle)) capture(*scene);
   } catch (...) {
@@ -151,6 +190,8 @@ void after_commit(RTCScene handle) noexcept {
 }
 
 }  // namespace
+
+bool follows() noexcept { return (exchange() != nullptr || trees() != nullptr) && real().is_known(); }
 
 std::uint64_t epoch() noexcept { return registry().epoch.load(std::memory_order_acquire); }
 
@@ -350,14 +391,6 @@ __attribute__((visibility("default"))) void rtcSetNewGeometryBufferHostDevice(
 void rtcUpdateGeometryBuffer(RTCGeometry geometry, RTCBufferType type, unsigned int slot) {
   real().rtcUpdateGeometryBuffer(geometry, type, slot);
   change_geometry(geometry, [](Geometry&) {});
-}
-
-void rtcSetGeometryIntersectFilterFunction(RTCGeometry geometry, RTCFilterFunctionN filter) {
-  real().rtcSetGeometryIntersectFilterFunction(geometry, wrapped(filter));
-}
-
-void rtcSetGeometryOccludedFilterFunction(RTCGeometry geometry, RTCFilterFunctionN filter) {
-  real().rtcSetGeometryOccludedFilterFunction(geometry, wrapped(filter));
 }
 
 void rtcSetGeometryInstancedScene(RTCGeometry geometry, RTCScene scene) {

@@ -10,6 +10,7 @@
 
 #include "exchange.h"
 #include "preload_library.hpp"
+#include "preload_plant.hpp"
 
 namespace preload {
 
@@ -89,14 +90,16 @@ struct Scene {
   std::map<unsigned, std::shared_ptr<Geometry>> geometries;
   bool spatial_splits = false;
   std::uint64_t changes = 0;
+  std::uint64_t revision = 0;  // commits so far that changed it
   int references = 1;
   std::shared_ptr<const Capture> capture;  // of the last commit
 
   std::atomic<bool> pending{false};  // committed, or being so, and not yet captured
   std::mutex commit;
   std::uint32_t commits = 0;
-  // What was captured last: a commit without changes does nothing.
+  // What was committed last, empty before: a commit without changes does nothing.
   std::vector<std::uint64_t> signature;
+  Planting planting;
 };
 
 // What a capture is made of: a scene's geometries as they were when it was committed.
@@ -109,6 +112,9 @@ struct Attachment {
 
 // Writes the scene's file, and returns the numbering; null, after `fail`, when that is not possible.
 std::shared_ptr<const Capture> write_capture(const Scene& scene, const std::vector<Attachment>& attachments);
+
+// Whether the program's scenes are followed: to record what is asked, or to plant.
+bool follows() noexcept;
 
 // Changes when a scene is committed or goes away: what was looked up before is then looked up again.
 std::uint64_t epoch() noexcept;

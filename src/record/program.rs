@@ -15,7 +15,9 @@ mod exchange;
 mod flatten;
 pub mod purpose;
 pub mod report;
+pub mod run;
 pub mod select;
+pub mod trees;
 
 use crate::files::{self, FileError};
 use crate::format::rays::Codec;
@@ -24,7 +26,7 @@ use exchange::{Exchange, memory_file, path_of};
 use purpose::Rules;
 use report::Report;
 use select::{Selection, Selector};
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::os::unix::process::ExitStatusExt;
@@ -32,6 +34,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus};
 use std::time::Duration;
 use thiserror::Error;
+use trees::{Trees, TreesError, Wanted};
 
 /// The preload library.
 const LIBRARY: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/preload.so"));
@@ -54,6 +57,8 @@ pub struct Options {
     pub rules: Option<Rules>,
     /// A scene with more, once its instances are flattened, gets no tree.
     pub max_triangles: u32,
+    /// Trees that are planted in the program's scenes, and then recorded as theirs.
+    pub wanted: Wanted,
 }
 
 /// Why there is no recording.
@@ -61,6 +66,8 @@ pub struct Options {
 pub enum ProgramError {
     #[error("{0}")]
     File(#[from] FileError),
+    #[error(transparent)]
+    Trees(#[from] TreesError),
     #[error("cannot run {program}: {source}")]
     Start { program: String, source: io::Error },
     #[error("cannot share memory with the program: {0}")]
@@ -82,10 +89,11 @@ pub enum ProgramError {
 /// When it cannot be run, or a file cannot be written. Also then the program runs to its end.
 pub fn record(options: &Options) -> Result<Report, ProgramError> {
     ending::note_signals();
+    let trees = (!options.wanted.is_empty()).then(|| Trees::new(&options.wanted)).transpose()?;
     let out = files::create(&options.rays)?;
     let directory = Directory::beside(&options.rays)?;
     let exchange = Exchange::new(&directory.0).map_err(ProgramError::Exchange)?;
-    let library = library().map_err(ProgramError::Exchange)?;
+    let library = library_file(LIBRARY).map_err(ProgramError::Exchange)?;
     let rules = options.rules.unwrap_or_else(|| Rules::of_program(Path::new(&options.program)));
     let selector = Selector::new(options.selection.clone(), rules);
     let command = std::iter::once(&options.program).chain(&options.arguments);
@@ -107,7 +115,9 @@ pub fn record(options: &Options) -> Result<Report, ProgramError> {
     let mut collector =
         Collector::new(target, out, selector).map_err(|error| failed(0, CollectError::Rays(error)))?;
 
-    let mut child = start(options, &exchange, &library)?;
+    let mut environment = vec![(VARIABLE, exchange.path())];
+    environment.extend(trees.as_ref().map(|trees| (trees::VARIABLE, trees.path())));
+    let mut child = start(&options.program, &options.arguments, &environment, &library)?;
     let end = match collect(&mut child, &mut collector, &exchange) {
         Ok(end) => end,
         Err(error) => {
@@ -132,8 +142,12 @@ pub fn record(options: &Options) -> Result<Report, ProgramError> {
         threads: counters.threads,
         processes: counters.processes,
         scenes,
+        planting: None,
         warnings: Vec::new(),
     };
+    if let Some(trees) = &trees {
+        report.planting = Some(trees.planting().map_err(ProgramError::Exchange)?);
+    }
     report.warnings.extend(end.warning());
     for scene in &report.scenes {
         let named = |warning: &String| format!("scene {}: {warning}", scene.number);
@@ -143,33 +157,40 @@ pub fn record(options: &Options) -> Result<Report, ProgramError> {
     Ok(report)
 }
 
-/// A file in memory with the library in it.
-fn library() -> io::Result<File> {
+/// A file in memory with a preload library in it.
+fn library_file(library: &[u8]) -> io::Result<File> {
     let mut file = memory_file(c"libembree_trace_preload.so")?;
-    file.write_all(LIBRARY)?;
+    file.write_all(library)?;
     Ok(file)
 }
 
-fn start(options: &Options, exchange: &Exchange, library: &File) -> Result<Child, ProgramError> {
+fn start(
+    program: &OsStr,
+    arguments: &[OsString],
+    environment: &[(&str, String)],
+    library: &File,
+) -> Result<Child, ProgramError> {
     // Other libraries that are to be preloaded stay, behind ours.
     let mut preload = OsString::from(path_of(library));
     if let Some(others) = std::env::var_os("LD_PRELOAD").filter(|others| !others.is_empty()) {
         preload.push(":");
         preload.push(others);
     }
-    let child = Command::new(&options.program)
-        .args(&options.arguments)
+    let child = Command::new(program)
+        .args(arguments)
         .env("LD_PRELOAD", preload)
-        .env(VARIABLE, exchange.path())
+        .envs(environment.iter().map(|(name, value)| (name, value)))
         .spawn()
-        .map_err(|source| ProgramError::Start {
-            program: options.program.to_string_lossy().into_owned(),
-            source,
-        })?;
+        .map_err(|source| ProgramError::Start { program: program.to_string_lossy().into_owned(), source })?;
     // A terminal sends an interrupt to both: the program decides what it does then, and we write down what it asked.
     // SAFETY: to ignore a signal needs no handler.
     unsafe { libc::signal(libc::SIGINT, libc::SIG_IGN) };
     Ok(child)
+}
+
+/// As a shell says it.
+fn exit_code(status: ExitStatus) -> i32 {
+    status.code().unwrap_or_else(|| 128 + status.signal().unwrap_or(0))
 }
 
 /// Why there is nothing more to record.
@@ -183,7 +204,7 @@ impl End {
     /// As a shell says it.
     fn exit_code(&self) -> i32 {
         match self {
-            End::Program(status) => status.code().unwrap_or_else(|| 128 + status.signal().unwrap_or(0)),
+            End::Program(status) => exit_code(*status),
             End::Signal(signal) => 128 + signal,
         }
     }

@@ -386,6 +386,64 @@ void busy(RTCScene shared, RTCScene child, RTCIntersectContext context, const st
   std::printf("%u hits\n", hits.load());
 }
 
+// A mesh that moves from frame to frame, and stands where it started in every other one: Embree refits its tree, or builds it
+// anew. The commits in between change nothing.
+void frames(RTCIntersectContext* context, RTCBuildQuality quality, int count) {
+  Grid grid(8, 0.2f, false);
+  RTCGeometry geometry = triangles(grid);
+  rtcSetGeometryBuildQuality(geometry, quality);
+  rtcCommitGeometry(geometry);
+  RTCScene scene = rtcNewScene(device);
+  rtcSetSceneFlags(scene, RTC_SCENE_FLAG_DYNAMIC);
+  rtcSetSceneBuildQuality(scene, quality == RTC_BUILD_QUALITY_REFIT ? RTC_BUILD_QUALITY_LOW : quality);
+  rtcAttachGeometryByID(scene, geometry, 2);
+  const std::vector<Vertex> start = grid.vertices;
+  for (int frame = 0; frame < count; frame++) {
+    grid.vertices = start;
+    for (Vertex& vertex : grid.vertices) vertex.position[2] += frame % 2 == 0 ? 0 : 0.1f * vertex.position[0] * float(frame);
+    rtcUpdateGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0);
+    rtcCommitGeometry(geometry);
+    rtcCommitScene(scene);
+    single(scene, context, random_rays(100));
+    rtcCommitScene(scene);
+    single(scene, context, random_rays(100));
+  }
+  rtcReleaseGeometry(geometry);
+  rtcReleaseScene(scene);
+}
+
+// The same scene on two devices, which two threads make, ask and release, at once.
+void devices(RTCIntersectContext context, const std::vector<RTCRayHit>& rays) {
+  std::atomic<unsigned> hits{0};
+  std::vector<std::thread> threads;
+  const Grid grid(13, 0, false);
+  for (int number = 0; number < 2; number++) {
+    threads.emplace_back([&] {
+      RTCIntersectContext own = context;
+      RTCDevice one = rtcNewDevice(nullptr);
+      for (int round = 0; round < 20; round++) {
+        RTCGeometry geometry = rtcNewGeometry(one, RTC_GEOMETRY_TYPE_TRIANGLE);
+        rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, grid.vertices.data(), 4,
+                                   sizeof(Vertex), grid.vertices.size() - 1);
+        rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, grid.indices.data(), 4, 16,
+                                   grid.indices.size() / 4);
+        rtcCommitGeometry(geometry);
+        RTCScene scene = rtcNewScene(one);
+        attach(scene, geometry, 3);
+        rtcCommitScene(scene);
+        for (RTCRayHit ray : rays) {
+          rtcIntersect1(scene, &own, &ray);
+          hits += ray.hit.geomID != RTC_INVALID_GEOMETRY_ID ? 1 + ray.hit.primID : 0;
+        }
+        rtcReleaseScene(scene);
+      }
+      rtcReleaseDevice(one);
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  std::printf("%u\n", hits.load());
+}
+
 // 8 threads ask until the process is ended, and count in a file what was answered, each in a number of its own: what has been counted is in the
 // file however the process ends. For tools/faults.
 void count(RTCScene scene, RTCIntersectContext context, const std::vector<RTCRayHit>& rays, const char* path) {
@@ -595,6 +653,13 @@ int main(int, char** arguments) {
   } else if (what == "busy") {
     rays.resize(500);
     busy(scene, child, context, rays);
+  } else if (what == "refits" || what == "rebuilds") {
+    frames(&context, what == "refits" ? RTC_BUILD_QUALITY_REFIT : RTC_BUILD_QUALITY_MEDIUM, 10);
+  } else if (what == "many-frames") {
+    frames(&context, RTC_BUILD_QUALITY_MEDIUM, 40);
+  } else if (what == "devices") {
+    rays.resize(500);
+    devices(context, rays);
   } else if (what == "count") {
     count(scene, context, rays, arguments[2]);
   } else if (what.find("defect-") == 0) {

@@ -1,6 +1,7 @@
 //! `embree-trace`: renders a scene with Embree, or runs a program that does, and records every ray query with its result.
 
 mod record;
+mod run;
 
 use clap::{Parser, ValueEnum};
 use embree_trace::cli::{self, Failure, Outcome, TextOrJson};
@@ -48,6 +49,9 @@ Examples:
     embree-trace walk_*.obj --commit rebuild --savetrace rebuilt
     bvh-compare walk/0007.bvh rebuilt/0007.bvh walk/0007.rays
     embree-trace walk_*.obj --tree ours.bvh --savetrace planted
+
+  Let a program that uses Embree render on a tree of our own (see embree-trace run --help):
+    embree-trace run --tree ours.bvh -- pathtracer -c scene.ecs -o out.ppm
 
   Record a program that uses Embree (see embree-trace record --help):
     embree-trace record --savetrace casts.rays built.bvh -- blender -b scene.blend -f 1
@@ -186,12 +190,14 @@ fn main() -> ExitCode {
     match arguments.get(1).and_then(|word| word.to_str()) {
         // Everything behind `--` is the program's, so nothing is respelled.
         Some("record") => return record::main(arguments),
+        Some("run") => return run::main(arguments),
         Some("render") => drop(arguments.remove(1)),
         _ => {}
     }
     let words = arguments.into_iter().map(spelled);
-    let arguments: Arguments =
-        cli::parse_beside("embree-trace", words, |command| command.subcommand(record::command()));
+    let arguments: Arguments = cli::parse_beside("embree-trace", words, |command| {
+        command.subcommand(record::command()).subcommand(run::command())
+    });
     cli::run("embree-trace", || run(&arguments))
 }
 

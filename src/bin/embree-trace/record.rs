@@ -1,5 +1,6 @@
 //! `embree-trace record`: runs a program and records what it asks Embree.
 
+use crate::run::{TreeArguments, show};
 use clap::{Command, CommandFactory, Parser, ValueEnum};
 use embree_trace::cli::{self, Failure, TextOrJson};
 use embree_trace::format::rays::Codec;
@@ -23,6 +24,9 @@ Examples:
     embree-trace record --skip 1000000 --limit 1000000 -- ./render.sh
   The same with options that stand in the environment:
     EMBREE_TRACE_LIMIT=1000000 EMBREE_TRACE_COMPRESS=true embree-trace record -- ./render.sh
+
+  The same on trees of our own, which are planted in the program's scenes (see embree-trace run --help):
+    embree-trace record --tree ours.bvh --savetrace casts.rays planted.bvh -- pathtracer -c scene.ecs -o out.ppm
 
 Each committed scene that is asked something is a scene of the recording, and gets a tree of its own: built.bvh,
 built.1.bvh, …; bvh-compare and the others take the queries of the scene that their tree is of.
@@ -65,6 +69,8 @@ struct Arguments {
     /// Writes no tree for a scene with more triangles, once its instances are flattened
     #[arg(long, value_name = "N", default_value_t = 100_000_000, env = "EMBREE_TRACE_MAX_TRIANGLES")]
     max_triangles: u32,
+    #[command(flatten)]
+    trees: TreeArguments,
     /// How the summary is printed, on standard error: standard output is the program's
     #[arg(long, value_enum, default_value = "text")]
     format: TextOrJson,
@@ -117,10 +123,14 @@ fn run(arguments: Arguments) -> Result<u8, Failure> {
             Purposes::None => Rules::None,
         }),
         max_triangles,
+        wanted: arguments.trees.wanted(),
     })?;
     match arguments.format {
         TextOrJson::Text => {
             eprint!("{report}");
+            if let Some(planting) = &report.planting {
+                show("embree-trace record", planting);
+            }
             for warning in &report.warnings {
                 eprintln!("embree-trace record: warning: {warning}");
             }

@@ -2,6 +2,7 @@
 
 use super::capture::{Capture, Kind};
 use super::exchange::Counters;
+use super::trees::Planting;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -83,6 +84,9 @@ pub struct Report {
     pub threads: u32,
     pub processes: u32,
     pub scenes: Vec<SceneLine>,
+    /// What was planted; `None` when nothing was to be.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub planting: Option<Planting>,
     pub warnings: Vec<String>,
 }
 
