@@ -10,7 +10,7 @@ use embree_trace::format::rays::{Purpose, Rays, Record, flag};
 use embree_trace::geometry::Triangle;
 use preload_support::{Judged, Run, compiled_host, lines, unrecorded_host};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Output};
 use std::sync::OnceLock;
 use tempfile::TempDir;
 
@@ -594,4 +594,152 @@ fn distance(record: &Record, triangle: &Triangle) -> f64 {
         .iter()
         .all(|(from, to)| (*to - *from).cross(p - *from).dot(normal) >= -1e-4 * normal.length_squared());
     if inside { t } else { f64::NAN }
+}
+
+/// Trees of ours for every scene of a recording that has one, as `bvh-build` makes them.
+fn build_trees(run: &Run) -> Vec<String> {
+    let count = run.trees().len();
+    let name = |what: &str, number: usize| match number {
+        0 => format!("{what}.bvh"),
+        _ => format!("{what}.{number}.bvh"),
+    };
+    let mut trees = Vec::new();
+    for number in 0..count {
+        let output = Command::new(env!("CARGO_BIN_EXE_bvh-build"))
+            .args([&name("built", number), &name("ours", number)])
+            .args(["--width", "8", "--max-leaf", "8"])
+            .current_dir(run.directory.path())
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        trees.push(run.path(&name("ours", number)).display().to_string());
+    }
+    trees
+}
+
+/// `embree-trace run` with trees and further arguments.
+fn run_planted(options: &[&str], trees: &[String], program: &Path, arguments: &[&str]) -> Output {
+    let trees = trees.iter().flat_map(|tree| ["--tree", tree]);
+    Command::new(env!("CARGO_BIN_EXE_embree-trace"))
+        .arg("run")
+        .args(options)
+        .args(trees)
+        .arg("--")
+        .arg(program)
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// A program sees on planted trees what it sees on Embree's own, in every form of a query; and the line says that they were planted.
+#[test]
+fn planted_trees_answer_as_embree_does() {
+    for what in [
+        "plain", "robust", "splits", "packets", "streams", "coherent", "filters", "commits", "sky", "threads",
+    ] {
+        let run = run_host(&[], what);
+        let trees = build_trees(&run);
+        let output = run_planted(&[], &trees, host(), &[what]);
+        assert!(output.status.success(), "{what}: {}", said(&output));
+        assert!(output.stdout == unrecorded(what), "{what}");
+        let planted = said(&output).matches("planted  ").count();
+        assert_eq!(planted, if what == "commits" { 2 } else { 1 }, "{what}: {}", said(&output));
+        assert!(!said(&output).contains("warning"), "{what}: {}", said(&output));
+    }
+}
+
+/// What is recorded on a planted tree is that tree, and answers that it gives.
+#[test]
+fn planted_trees_are_recorded() {
+    let plain = run_host(&[], "devices");
+    let trees = build_trees(&plain);
+    let run = run_host(&["--tree", &trees[0], "--limit", "100000"], "devices");
+    assert!(run.output.stdout == unrecorded("devices") && run.said().contains("planted  "), "{}", run.said());
+    assert_eq!(run.replayed().unchecked, 0);
+    let differ = Command::new(env!("CARGO_BIN_EXE_trace-diff"))
+        .arg(&trees[0])
+        .arg(run.path("built.bvh"))
+        .output()
+        .unwrap();
+    assert_eq!(differ.status.code(), Some(0), "{}", String::from_utf8_lossy(&differ.stdout));
+}
+
+/// Scenes that move, are committed by several threads at once, of two devices, and released while others are asked; and processes that
+/// fork. Refits of Embree's never meet a tree of ours.
+#[test]
+fn planted_trees_come_and_go_with_their_scenes() {
+    for what in ["refits", "rebuilds", "many-frames", "devices", "busy"] {
+        let run = run_host(&["--limit", "100000"], what);
+        let trees = build_trees(&run);
+        let output = run_planted(&[], &trees, host(), &[what]);
+        assert!(output.status.success(), "{what}: {}", said(&output));
+        assert!(output.stdout == unrecorded(what), "{what}");
+        assert!(said(&output).contains("planted  "), "{what}: {}", said(&output));
+        let frames = ["refits", "rebuilds", "many-frames"].contains(&what);
+        assert_eq!(said(&output).matches("again and again").count(), usize::from(frames), "{what}");
+    }
+    let plain = run_host(&[], "plain");
+    let trees = build_trees(&plain);
+    let output = run_planted(&[], &trees, host(), &["fork"]);
+    assert_eq!(output.status.code(), Some(7), "the program's own exit code");
+    // Parent and child write at once: lines are cut, bytes are not lost.
+    assert_eq!(output.stdout.len(), 3 * unrecorded("plain").len());
+    let output = run_planted(&[], &trees, host(), &["kill"]);
+    assert_eq!(output.status.code(), Some(128 + 9));
+    assert!(output.stdout == unrecorded("plain"), "{}", said(&output));
+}
+
+/// What cannot be planted is left, and one line says so; what is wrong ends before the program starts.
+#[test]
+fn planted_trees_are_found_or_left() {
+    let (plain, devices) = (run_host(&[], "plain"), run_host(&["--limit", "9"], "devices"));
+    let (ours, others) = (build_trees(&plain), build_trees(&devices));
+    // A tree of another scene.
+    let output = run_planted(&[], &others, host(), &["plain"]);
+    assert!(output.status.success() && output.stdout == unrecorded("plain"), "{}", said(&output));
+    let warnings = said(&output).matches("warning").count();
+    assert!(
+        warnings == 1 && said(&output).contains("no scene that the program has committed"),
+        "{}",
+        said(&output)
+    );
+    // The same in a directory with that of this one, and something that is no tree.
+    let directory = tempfile::tempdir().unwrap();
+    for (from, to) in [(&ours[0], "b.bvh"), (&others[0], "a.bvh")] {
+        std::fs::copy(from, directory.path().join(to)).unwrap();
+    }
+    std::fs::write(directory.path().join("c.bvh"), b"no tree").unwrap();
+    let path = directory.path().display().to_string();
+    let output = run_planted(&["--trees", &path, "--format", "json"], &[], host(), &["plain"]);
+    assert!(output.status.success() && output.stdout == unrecorded("plain"), "{}", said(&output));
+    let report: serde_json::Value = serde_json::from_str(&said(&output)).unwrap();
+    assert!(report["scenes"][0]["tree"].as_str().unwrap().ends_with("b.bvh"), "{report}");
+    assert_eq!(report["warnings"].as_array().unwrap().len(), 1, "{report}");
+    // Named one by one, what is no tree is an error, and nothing runs.
+    let broken = directory.path().join("c.bvh").display().to_string();
+    for trees in [vec![broken], vec!["missing.bvh".to_owned()], vec![]] {
+        let output = run_planted(&[], &trees, host(), &["plain"]);
+        assert_eq!((output.status.code(), output.stdout.len()), (Some(2), 0), "{}", said(&output));
+        assert_eq!(said(&output).lines().count(), 1, "{}", said(&output));
+    }
+    // Instances were flattened: no scene has the triangles so.
+    let instances = run_host(&[], "instances");
+    let flattened = build_trees(&instances);
+    let output = run_planted(&[], &flattened, host(), &["instances"]);
+    assert!(
+        output.status.code() == Some(2) && said(&output).contains("placed by instances"),
+        "{}",
+        said(&output)
+    );
+    // A program without Embree.
+    let output = run_planted(&[], &ours, Path::new("true"), &[]);
+    assert!(
+        output.status.code() == Some(2) && said(&output).contains("nothing is planted"),
+        "{}",
+        said(&output)
+    );
 }
