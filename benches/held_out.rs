@@ -275,7 +275,8 @@ impl Contest<'_> {
 
     fn chosen(&self, rays: &Rays, filter: Filter) -> Result<auto::Chosen, Box<dyn Error>> {
         let queries = queries::read(&Self::selection(filter), rays, self.bvh)?;
-        let config = auto::Config { budget: self.budget, c_i: 1.0, c_p: 1.0, max_leaf: auto::MAX_LEAF, cuts: true };
+        let config =
+            auto::Config { budget: self.budget, c_i: 1.0, c_p: 1.0, max_leaf: auto::MAX_LEAF, cuts: true };
         let scene = auto::Scene { triangles: self.bvh.triangles, geometries: self.bvh.geometries };
         Ok(auto::choose(scene, &queries, &config)?)
     }

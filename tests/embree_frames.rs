@@ -412,7 +412,8 @@ fn planted_trees_follow_the_frames() {
         let first = format!("{}/0000.bvh", path("trees"));
         for (kind, trees) in [("following", first), ("each", path("trees"))] {
             let (summary, stderr) = record(kind, &["--tree", &trees]);
-            assert!(stderr.is_empty(), "{stderr}");
+            // There are warnings of materials, and none of trees.
+            assert!(!stderr.contains("plant") && !stderr.contains(".bvh"), "{stderr}");
             for number in 0..4 {
                 let line = &summary["frames"][number];
                 assert_eq!(line["planted"]["trees"], 2, "{line}");

@@ -392,6 +392,4 @@ fn a_planted_tree_renders_the_same_picture_and_is_recorded() {
     bad(directory, &["room.obj", "--tree", "damaged.bvh"], &["damaged.bvh: ", "expected"]);
     bad(directory, &["room.obj", "--tree", "missing.bvh"], &["missing.bvh"]);
     bad(directory, &["room.obj", "--tree", "own.rays"], &["own.rays: "]);
-    let frames = ["room.obj", "room.obj", "--tree", "ours.bvh", "--savetrace=frames"];
-    bad(directory, &frames, &["a tree is planted in one scene, not in frames"]);
 }

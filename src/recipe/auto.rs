@@ -139,8 +139,7 @@ pub fn choose_with(
     let (judges, fit): (Vec<&Query>, Vec<&Query>) = queries.iter().partition(|query| query.judges);
     let judges = even(&judges, JUDGES);
     let segments: Vec<Ray> = fit.iter().map(|query| query.segment).collect();
-    let mut splits =
-        if config.cuts { Splits::Spatial(spatial::Options::default()) } else { Splits::Sweep };
+    let mut splits = if config.cuts { Splits::Spatial(spatial::Options::default()) } else { Splits::Sweep };
     let recipes = Recipes { config, exact };
     let area = recipes.full(Heuristic::Sah, splits);
     let mut chooser = Chooser::new(scene, judges, config, &area)?;

@@ -69,7 +69,9 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
     let bytes = MappedFile::open(&arguments.input)?;
     let before = Bvh::parse(&bytes).map_err(|error| Failure::in_file(&arguments.input, error))?;
     if arguments.binary && arguments.no_splits && before.header.flags & flag::SPATIAL_SPLITS != 0 {
-        return Err(Failure::new("the tree has spatial splits, which --binary keeps and --no-splits forbids"));
+        return Err(Failure::new(
+            "the tree has spatial splits, which --binary keeps and --no-splits forbids",
+        ));
     }
     let training = arguments.training(&before, ranks)?;
     let training_queries = training.segments.all;
