@@ -675,7 +675,9 @@ fn planted_trees_come_and_go_with_their_scenes() {
     for what in ["refits", "rebuilds", "many-frames", "devices", "busy"] {
         let run = run_host(&["--limit", "100000"], what);
         let trees = build_trees(&run);
-        let output = run_planted(&[], &trees, host(), &[what]);
+        // Later scenes of "busy" are flattened instances, which no scene of a program is.
+        let trees = if what == "busy" { &trees[..1] } else { &trees[..] };
+        let output = run_planted(&[], trees, host(), &[what]);
         assert!(output.status.success(), "{what}: {}", said(&output));
         assert!(output.stdout == unrecorded(what), "{what}");
         assert!(said(&output).contains("planted  "), "{what}: {}", said(&output));
@@ -699,7 +701,7 @@ fn planted_trees_are_found_or_left() {
     let (plain, devices) = (run_host(&[], "plain"), run_host(&["--limit", "9"], "devices"));
     let (ours, others) = (build_trees(&plain), build_trees(&devices));
     // A tree of another scene.
-    let output = run_planted(&[], &others, host(), &["plain"]);
+    let output = run_planted(&[], &others[..1], host(), &["plain"]);
     assert!(output.status.success() && output.stdout == unrecorded("plain"), "{}", said(&output));
     let warnings = said(&output).matches("warning").count();
     assert!(
