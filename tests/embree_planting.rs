@@ -16,6 +16,7 @@ use embree_trace::geometry::{Aabb, Triangle, Vec3};
 use embree_trace::mesh::{Faces, Mesh};
 use embree_trace::progress::Progress;
 use embree_trace::tree::{LEAF_BIT, Node, Tree, collapse};
+use std::process::Command;
 
 const SPATIAL_SPLITS: u32 = 1;
 const FLATTENED: u32 = 2;
@@ -735,4 +736,42 @@ fn an_empty_scene_has_nothing_to_plant_in() {
     );
     let own = quantised.own.tree.clone();
     assert!(quantised.refusal(&own, 0).contains("quantised boxes, which are not planted"));
+}
+
+/// The same for a program that has nothing but Embree's API: masks, filters, strides, other geometry
+/// beside, commits of every kind, threads, a fork, and 300 damaged files each.
+#[test]
+fn a_program_of_its_own_plants() {
+    let (root, directory) = (env!("CARGO_MANIFEST_DIR"), tempfile::tempdir().unwrap());
+    let program = directory.path().join("planting");
+    let planting = ["pages", "plant", "plant_blocks", "plant_check", "plant_cover", "plant_file"];
+    let others = ["plant_lanes", "plant_tree", "faces", "live_bvh", "memory", "tree"];
+    let sources = planting.iter().chain(&others).map(|name| format!("embree-shim/{name}.cpp"));
+    let done = Command::new("c++")
+        .args(["-std=c++17", "-O1", "-Wall", "-Wextra", "-Werror", "-DEMBREE_MAJOR=3", "-Iembree-shim"])
+        .arg("tests/sanitizers/planting.cpp")
+        .args(sources)
+        .arg("-o")
+        .arg(&program)
+        .args(["-lembree3", "-lpthread"])
+        .current_dir(root)
+        .output()
+        .unwrap();
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let (compact, robust) = ("2", "4");
+    for words in [
+        ["threads=1", "0", "8"],
+        ["isa=sse42", robust, "4"],
+        ["threads=2", compact, "4"],
+        ["isa=avx2", robust, "8"],
+    ] {
+        let done = Command::new(&program).args(words).arg("300").output().unwrap();
+        let said = String::from_utf8_lossy(&done.stdout);
+        assert!(done.status.success(), "{words:?}: {said} {}", String::from_utf8_lossy(&done.stderr));
+        let skipped = said.starts_with("this processor has no");
+        if skipped {
+            eprintln!("SKIPPED: {said}");
+        }
+        assert!(skipped || said.ends_with("of 300 damaged files planted\n"), "{said}");
+    }
 }
