@@ -59,6 +59,7 @@ fn what_a_program_of_embree_4_sees_is_recorded() {
         "traversable",
         "filters",
         "context-filter",
+        "masks",
     ] {
         let run = Run::of_host(&host, &[], what);
         assert!(run.output.stdout == unrecorded_host(&host, what), "{what}");
