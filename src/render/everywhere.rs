@@ -92,7 +92,7 @@ impl Stage {
     }
 
     /// The same view from `distance` away.
-    fn from_afar(mut self, distance: f64) -> Stage {
+    fn seen_from_afar(mut self, distance: f64) -> Stage {
         let sight = (self.eye - self.target).as_dvec3();
         let half = sight.length() * libm::tan(f64::from(self.fov_degrees).to_radians() / 2.0);
         self.eye = (self.target.as_dvec3() + sight.normalize() * distance).as_vec3();
@@ -215,7 +215,7 @@ fn the_same_rays_hit_at_every_scale() {
 #[test]
 fn the_same_rays_hit_from_a_camera_far_away() {
     for distance in [1e4, 1e5, 1e6] {
-        same_shares(&towers().from_afar(distance), &[HOME], 0.02);
+        same_shares(&towers().seen_from_afar(distance), &[HOME], 0.02);
     }
 }
 

@@ -99,7 +99,8 @@ impl Sight {
     /// None when the ray or the triangle is not finite, or the ray has no direction or an empty interval: then nothing is hit.
     fn new(ray: &Ray, triangle: &Triangle, flattened: bool) -> Option<Sight> {
         let finite = ray.origin.is_finite() && ray.direction.is_finite() && triangle.is_finite();
-        if !finite || ray.direction == Vec3::ZERO || !(ray.tnear <= ray.tfar) {
+        let has_interval = ray.tnear <= ray.tfar;
+        if !finite || ray.direction == Vec3::ZERO || !has_interval {
             return None;
         }
         let (o, d) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
