@@ -1,9 +1,9 @@
 //! Whether two files hold the same: what `trace-diff` says, and what regression tests of a renderer stand on.
 //!
 //! Two parsed files → a [`Report`]: the number of differences, the first one with both values, and notes on what
-//! is told but does not count. [`bvh`] compares trees element by element. [`rays`] compares queries: [`in_order`]
-//! (or [`any_order`]) finds which query of the one file answers to which of the other, [`query`] compares such a pair,
-//! [`tie`] says whether two triangles are hit at one t, and [`tally`] counts.
+//! is told but does not count. [`bvh`] compares trees element by element. [`rays`] compares queries: `in_order`
+//! (or `any_order`) finds which query of the one file answers to which of the other, `query` compares such a pair,
+//! `tie` says whether two triangles are hit at one t, and `tally` counts.
 
 mod any_order;
 pub mod bvh;

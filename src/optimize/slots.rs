@@ -6,7 +6,7 @@
 //! from those above. So, as in [`super::order`]: once from the leaves up over all queries that overlap a node, then rounds over those that
 //! are reached, each of which is no worse than the one before.
 //!
-//! **The convention.** The stored order is the order in which children are visited ([`OcclusionOrder::First`](crate::traverse::OcclusionOrder::First)).
+//! **The convention.** The stored order is the order in which children are visited ([`OcclusionOrder::First`]).
 //! Embree's kernels visit the last child that is hit first: whoever gives them a tree reverses it.
 //!
 //! Without an occluded query that says anything, smaller subtrees come first, which is what Embree does.
