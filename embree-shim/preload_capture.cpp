@@ -8,6 +8,7 @@
 
 #include "live_bvh.hpp"
 #include "preload_exchange.hpp"
+#include "preload_facts.hpp"
 #include "preload_scenes.hpp"
 #include "record.hpp"
 #include "tree.hpp"
@@ -17,10 +18,6 @@ namespace {
 
 // Indices have 32 bits, of which Embree and the files leave 31.
 constexpr std::uint64_t most_triangles = 0x7FFFFFFFu;
-
-shim::Bounds bounds_of(const RTCBounds& bounds) noexcept {
-  return {{bounds.lower_x, bounds.lower_y, bounds.lower_z}, {bounds.upper_x, bounds.upper_y, bounds.upper_z}};
-}
 
 struct CannotWrite {
   int error;
@@ -190,15 +187,7 @@ class Writer {
 
   // What Embree says of the committed scene.
   void describe() noexcept {
-    RTCDevice device = real().rtcGetSceneDevice(scene_.handle);
-    attached_.device = device;
-    attached_.scene = scene_.handle;
-    attached_.version = static_cast<std::uint32_t>(real().rtcGetDeviceProperty(device, RTC_DEVICE_PROPERTY_VERSION));
-    real().rtcReleaseDevice(device);
-    RTCLinearBounds linear;
-    real().rtcGetSceneLinearBounds(scene_.handle, &linear);
-    attached_.bounds[0] = bounds_of(linear.bounds0);
-    attached_.bounds[1] = bounds_of(linear.bounds1);
+    ask_embree(scene_.handle, attached_);
     attached_.spatial_splits = scene_.spatial_splits;
     attached_.others = capture_->is_undecided();
     attached_.triangle_count = capture_->flattened_;

@@ -6,6 +6,8 @@
 #include <ctime>
 #include <exception>
 
+#include "preload_facts.hpp"
+
 namespace preload {
 namespace {
 
@@ -18,10 +20,6 @@ double seconds_now() noexcept {
   return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
 }
 
-shim::Bounds bounds_of(const RTCBounds& bounds) noexcept {
-  return {{bounds.lower_x, bounds.lower_y, bounds.lower_z}, {bounds.upper_x, bounds.upper_y, bounds.upper_z}};
-}
-
 const void* vertices_of(const void* scene, std::uint32_t geometry) {
   // Embree takes scenes that it does not change as others.
   auto* handle = static_cast<RTCScene>(const_cast<void*>(scene));
@@ -31,15 +29,7 @@ const void* vertices_of(const void* scene, std::uint32_t geometry) {
 
 shim::Ground ground_of(const Committed& scene) noexcept {
   shim::Ground ground;
-  RTCDevice device = real().rtcGetSceneDevice(scene.handle);
-  ground.device = device;
-  ground.scene = scene.handle;
-  ground.version = static_cast<std::uint32_t>(real().rtcGetDeviceProperty(device, RTC_DEVICE_PROPERTY_VERSION));
-  real().rtcReleaseDevice(device);
-  RTCLinearBounds linear;
-  real().rtcGetSceneLinearBounds(scene.handle, &linear);
-  ground.bounds[0] = bounds_of(linear.bounds0);
-  ground.bounds[1] = bounds_of(linear.bounds1);
+  ask_embree(scene.handle, ground);
   ground.spatial_splits = scene.spatial_splits;
   ground.others = scene.others;
   ground.vertices = &vertices_of;

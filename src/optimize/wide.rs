@@ -5,7 +5,7 @@
 //! counting real queries.
 //!
 //! Data flows so: a tree is read into a [`working`] tree, where every reference keeps its box; a binary one is collapsed on the way
-//! ([`forest`]). Then rounds of [`leaves`] (what is in which leaf of a node) and [`tournament`] (how subtrees hang together) change it node by
+//! ([`forest`]). Then rounds ([`mod@round`]) of [`leaves`] (what is in which leaf of a node) and [`tournament`] (how subtrees hang together) change it node by
 //! node, from the root down. Disjoint subtrees go on different threads and know nothing of each other, so the result is the same for any number of
 //! threads; each change is made only where it is cheaper, so whenever a deadline ends it, the tree is no worse than before.
 
@@ -15,6 +15,7 @@ pub mod forest;
 pub mod hierarchy;
 pub mod leaves;
 pub mod likelihood;
+pub mod round;
 pub mod tournament;
 pub mod working;
 
@@ -25,8 +26,11 @@ use crate::tree::collapse::CollapseError;
 use crate::tree::statistics::Statistics;
 use crate::tree::{Node as FileNode, Tree, TreeView, collapse};
 use forest::{Forest, Join, Sides};
+use leaves::Leaves;
 use likelihood::Likelihood;
+use round::{Known, Round};
 use std::time::Instant;
+use tournament::Tournament;
 use working::{Node, Prices};
 
 /// What to lower, and how long to try.
@@ -91,13 +95,9 @@ pub fn optimize(
     let mut best = root.written();
     let depth = |tree: &Tree| Statistics::of(tree.view()).depth;
     let limit = MAX_DEPTH.max(depth(&best));
-    let leaves = leaves::Round { likelihood: &likelihood, prices, deadline: config.deadline };
-    let tournament = tournament::Round {
-        likelihood: &likelihood,
-        prices,
-        config: &config.tournament,
-        deadline: config.deadline,
-    };
+    let known = Known { likelihood: &likelihood, prices, deadline: config.deadline };
+    let leaves = Leaves { known };
+    let tournament = Tournament { known, config: &config.tournament };
     for round in 0..=config.rounds {
         let before = root.cost;
         if round > 0 {

@@ -3,54 +3,22 @@
 //!
 //! Beside that, a child whose own children find room is dissolved into them, and a node whose few references are as well tested as a list becomes a leaf.
 
-use super::likelihood::{Bits, Likelihood, Local};
-use super::working::{Below, Node, PARALLEL, Prices, Reference, around, unite, united};
+use super::likelihood::{Bits, Local};
+use super::round::{Known, Round, WORTHWHILE};
+use super::working::{Below, Node, Prices, Reference, around, unite, united};
 use crate::geometry::padded::PaddedAabb;
-use rayon::prelude::*;
-use std::time::Instant;
 
-/// A cost must fall by this share of the node's to be no rounding.
-const WORTHWHILE: f64 = 1e-9;
-
-/// What a round knows.
-pub struct Round<'a> {
-    pub likelihood: &'a Likelihood,
-    pub prices: &'a Prices,
-    pub deadline: Option<Instant>,
+/// The round that changes leaves.
+pub struct Leaves<'a> {
+    pub known: Known<'a>,
 }
 
-impl Round<'_> {
-    fn out_of_time(&self) -> bool {
-        self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
+impl Round for Leaves<'_> {
+    fn known(&self) -> &Known<'_> {
+        &self.known
     }
 
-    /// Improves the subtree at `node`, whose rays are `list`. Costs below are those of the new tree afterwards; returns how much it is cheaper.
-    pub fn run(&self, node: &mut Node, list: &[u32]) -> f64 {
-        if node.is_leaf() || self.out_of_time() {
-            return 0.0;
-        }
-        let before = node.cost;
-        self.improve(node, list);
-        if let Below::Inner(children) = &mut node.below {
-            let each = |child: &mut Node| {
-                if !child.is_leaf() {
-                    let own = self.likelihood.within(list, &child.bounds);
-                    self.run(child, &own);
-                }
-            };
-            if list.len() > PARALLEL {
-                children.par_iter_mut().for_each(each);
-            } else {
-                children.iter_mut().for_each(each);
-            }
-        }
-        node.settle(self.prices);
-        self.close(node);
-        before - node.cost
-    }
-
-    /// Changes the children of one node.
-    fn improve(&self, node: &mut Node, list: &[u32]) {
+    fn change(&self, node: &mut Node, list: &[u32]) {
         let Below::Inner(children) = &mut node.below else { return };
         let least_gain = WORTHWHILE * node.cost;
         loop {
@@ -59,13 +27,13 @@ impl Round<'_> {
                 return;
             }
             let (leaves, inner): (Vec<Node>, Vec<Node>) = children.drain(..).partition(Node::is_leaf);
-            let room = self.prices.width.max(leaves.len() + inner.len()) - inner.len();
-            let local = self.likelihood.local(list, usize::MAX);
+            let room = self.known.prices.width.max(leaves.len() + inner.len()) - inner.len();
+            let local = self.known.likelihood.local(list, usize::MAX);
             let mut siblings =
-                Siblings { local: &local, prices: self.prices, least_gain, groups: Vec::new() };
+                Siblings { local: &local, prices: self.known.prices, least_gain, groups: Vec::new() };
             siblings.groups = leaves.iter().map(|leaf| siblings.group(leaf.references().to_vec())).collect();
             siblings.improve(room);
-            let prices = self.prices;
+            let prices = self.known.prices;
             let leaf = |group: Group| Node::leaf(group.bounds, group.p, group.references, prices);
             children.extend(siblings.groups.into_iter().map(leaf));
             children.extend(inner);
@@ -76,9 +44,26 @@ impl Round<'_> {
         }
     }
 
+    /// Makes a node whose children are all leaves a leaf, where that is cheaper.
+    fn finish(&self, node: &mut Node) {
+        let children = node.children();
+        let all = children.iter().map(|child| child.references().len()).sum::<usize>();
+        if children.iter().any(|child| !child.is_leaf()) || all > 2 * self.known.prices.max_leaf {
+            return;
+        }
+        let mut references = Vec::with_capacity(all);
+        children.iter().for_each(|child| unite(&mut references, child.references()));
+        let cost = self.known.prices.of_leaf(node.p, references.len());
+        if references.len() <= self.known.prices.max_leaf && cost < node.cost - WORTHWHILE * node.cost {
+            (node.below, node.cost) = (Below::Leaf(references), cost);
+        }
+    }
+}
+
+impl Leaves<'_> {
     /// The likeliest child whose children find room.
     fn dissolved(&self, children: &[Node]) -> Option<usize> {
-        let room = (self.prices.width + 1).checked_sub(children.len())?;
+        let room = (self.known.prices.width + 1).checked_sub(children.len())?;
         let fits = |(_, child): &(usize, &Node)| !child.is_leaf() && child.children().len() <= room;
         let inner = children.iter().enumerate().filter(fits);
         inner.max_by(|(_, a), (_, b)| a.p.total_cmp(&b.p)).map(|(place, _)| place)
@@ -89,21 +74,6 @@ impl Round<'_> {
             if let Below::Inner(below) = children.remove(place).below {
                 children.extend(below);
             }
-        }
-    }
-
-    /// Makes a node whose children are all leaves a leaf, where that is cheaper.
-    fn close(&self, node: &mut Node) {
-        let children = node.children();
-        let all = children.iter().map(|child| child.references().len()).sum::<usize>();
-        if children.iter().any(|child| !child.is_leaf()) || all > 2 * self.prices.max_leaf {
-            return;
-        }
-        let mut references = Vec::with_capacity(all);
-        children.iter().for_each(|child| unite(&mut references, child.references()));
-        let cost = self.prices.of_leaf(node.p, references.len());
-        if references.len() <= self.prices.max_leaf && cost < node.cost - WORTHWHILE * node.cost {
-            (node.below, node.cost) = (Below::Leaf(references), cost);
         }
     }
 }

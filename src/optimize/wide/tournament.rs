@@ -4,12 +4,10 @@
 
 use super::forest::{Forest, Join};
 use super::hierarchy::{Merit, Part, cluster, sweep};
-use super::likelihood::Likelihood;
-use super::working::{Below, Node, PARALLEL, Prices};
-use rayon::prelude::*;
+use super::round::{Known, Round, WORTHWHILE};
+use super::working::{Below, Node};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
-use std::time::Instant;
 
 /// How much is tried.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,59 +26,29 @@ impl Default for Config {
     }
 }
 
-/// A cost must fall by this share of the node's to be no rounding.
-const WORTHWHILE: f64 = 1e-9;
-
-/// What a round knows.
-pub struct Round<'a> {
-    pub likelihood: &'a Likelihood,
-    pub prices: &'a Prices,
+/// The round that puts the parts below each node together anew.
+pub struct Tournament<'a> {
+    pub known: Known<'a>,
     pub config: &'a Config,
-    pub deadline: Option<Instant>,
 }
 
-impl Round<'_> {
-    fn out_of_time(&self) -> bool {
-        self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
+impl Round for Tournament<'_> {
+    fn known(&self) -> &Known<'_> {
+        &self.known
     }
 
-    /// Rebuilds the subtree at `node` from the top, whose rays are `list`. Costs below are those of the new tree afterwards; returns how much it is cheaper.
-    pub fn run(&self, node: &mut Node, list: &[u32]) -> f64 {
-        if node.is_leaf() || self.out_of_time() {
-            return 0.0;
-        }
-        let before = node.cost;
-        self.rebuild(node, list);
-        if let Below::Inner(children) = &mut node.below {
-            let each = |child: &mut Node| {
-                if !child.is_leaf() {
-                    let own = self.likelihood.within(list, &child.bounds);
-                    self.run(child, &own);
-                }
-            };
-            if list.len() > PARALLEL {
-                children.par_iter_mut().for_each(each);
-            } else {
-                children.iter_mut().for_each(each);
-            }
-        }
-        node.settle(self.prices);
-        before - node.cost
-    }
-
-    /// Puts the parts below `node` together anew where that is cheaper.
-    fn rebuild(&self, node: &mut Node, list: &[u32]) {
+    fn change(&self, node: &mut Node, list: &[u32]) {
         let (parts, opened) = opened(node, self.config.parts);
         if parts.len() < 3 {
             return;
         }
-        let local = self.likelihood.local(list, self.config.sample);
+        let local = self.known.likelihood.local(list, self.config.sample);
         let sides: Vec<Part> = parts.iter().map(|part| Part::new(&local, part.bounds)).collect();
         let ways = [Merit::Union, Merit::Growth].into_iter().map(|merit| cluster(&local, &sides, merit));
         let sweeps = self.config.alphas.iter().map(|&alpha| sweep(&local, &sides, alpha));
         let mut best: Option<(f64, Vec<Join>)> = None;
         for joins in ways.chain(sweeps) {
-            let cost = Forest::new(&joins, &parts, self.prices).cost();
+            let cost = Forest::new(&joins, &parts, self.known.prices).cost();
             if best.as_ref().is_none_or(|(least, _)| cost < *least) {
                 best = Some((cost, joins));
             }
@@ -89,11 +57,11 @@ impl Round<'_> {
         if !local.is_exact() {
             // The hierarchy stays; what it costs is counted with all rays.
             for join in &mut joins {
-                let rays = self.likelihood.within(list, &join.bounds).len();
-                join.p = self.likelihood.of(&join.bounds, rays);
+                let rays = self.known.likelihood.within(list, &join.bounds).len();
+                join.p = self.known.likelihood.of(&join.bounds, rays);
             }
         }
-        let forest = Forest::new(&joins, &parts, self.prices);
+        let forest = Forest::new(&joins, &parts, self.known.prices);
         if forest.cost() < node.cost - WORTHWHILE * node.cost {
             let mut parts = Vec::with_capacity(parts.len());
             let taken = std::mem::replace(&mut node.below, Below::Leaf(Vec::new()));
