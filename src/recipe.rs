@@ -5,7 +5,9 @@
 //! that belongs to it → [`crate::tree::leaves`], where leaves may hold several → a tree. Builder and optimisers see the same heuristic, so that the one does not undo the other.
 
 pub mod auto;
-pub mod wide;
+pub mod best;
+pub mod finish;
+pub mod judge;
 
 use crate::builder::reference::References;
 use crate::builder::{self, BuildError, build_with};
@@ -18,6 +20,7 @@ use crate::probability::rays::{Count, RaySet, Rays};
 use crate::progress::Progress;
 use crate::ranks::{Alone, Ranks};
 use crate::tree::Tree;
+use crate::tree::collapse::CollapseError;
 use crate::tree::leaves::merge_leaves;
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
@@ -78,6 +81,8 @@ pub enum RecipeError {
     Optimize(#[from] OptimizeError),
     #[error(transparent)]
     Weight(#[from] WeightError),
+    #[error(transparent)]
+    Collapse(#[from] CollapseError),
     #[error("floor is {0}: it must be a finite number, not negative")]
     Floor(f64),
     #[error(

@@ -5,17 +5,19 @@ mod compare_support;
 use compare_support::files::{rays_bytes, records, tree_bytes};
 use compare_support::*;
 use embree_trace::builder::Splits;
+use embree_trace::cost::Costs;
 use embree_trace::format::bvh::{self, Bvh, Contents, fingerprint};
 use embree_trace::format::rays::{Rays, Record, flag};
 use embree_trace::geometry::{Ray, Triangle, Vec3};
 use embree_trace::progress::Progress;
 use embree_trace::recipe::auto::{self, Chosen, Scene};
-use embree_trace::recipe::{Recipe, RecipeError};
+use embree_trace::recipe::finish::{self, Shape};
+use embree_trace::recipe::{Heuristic, Recipe, RecipeError, best, judge};
 use embree_trace::replay::query::Choice;
 use embree_trace::replay::select::{Filter, Portion};
 use embree_trace::training::Selection;
 use embree_trace::training::queries::Query;
-use embree_trace::traverse::{All, Counts, Prepared, PreparedRay, Scratch, Traversal};
+use embree_trace::traverse::{All, Counts, OcclusionOrder, Prepared, PreparedRay, Scratch, Traversal};
 use embree_trace::tree::Tree;
 use std::process::{Command, Output};
 use std::time::Duration;
@@ -203,6 +205,119 @@ fn without_time_or_judges_it_is_the_area_tree() {
     assert_eq!(choose(&triangles, &[], 60).err(), Some(RecipeError::NoRays("auto")));
 }
 
+/// A tree of eight children a node, as a program has.
+fn wide_input(triangles: &[Triangle]) -> Tree {
+    random_tree(triangles, 8, 4, &mut Random(9))
+}
+
+fn best_with(
+    triangles: &[Triangle],
+    queries: &[Query],
+    change: impl Fn(&mut best::Config),
+) -> Result<best::Chosen, RecipeError> {
+    let shape = Shape { width: 8, max_leaf: finish::MAX_LEAF, costs: Costs::default() };
+    let mut config = best::Config { shape, budget: Duration::from_secs(600), area_only: false, cuts: true };
+    change(&mut config);
+    let (scene, tree) = (judge::Scene { triangles, geometries: &[] }, wide_input(triangles));
+    let input = best::Input { tree: tree.view(), order: OcclusionOrder::Last, is_cut: false };
+    best::choose(scene, input, queries, &config, &Progress::hidden())
+}
+
+/// Nanoseconds of every other judging query, followed one by one in the order of the file.
+fn nanoseconds(tree: &Tree, triangles: &[Triangle], queries: &[Query], odd: usize) -> f64 {
+    let prepared = Prepared::new(tree.view(), triangles, &[]);
+    let (costs, mut scratch, mut sum, mut count) = (Costs::default(), Scratch::default(), 0.0, 0);
+    for query in queries.iter().filter(|query| query.judges).skip(odd).step_by(2) {
+        let ray = PreparedRay::new(&query.ray);
+        let mut counts = Counts::default();
+        if query.is_occlusion {
+            prepared.occluder_in(&OcclusionOrder::First, &ray, &All, &mut counts, &mut scratch);
+        } else {
+            prepared.closest_hit(Traversal::Odf, &ray, &All, &mut counts, &mut scratch);
+        }
+        let constants = costs.of(8, query.is_occlusion);
+        sum += constants.visit * counts.node_visits as f64
+            + constants.leaf * counts.leaf_visits as f64
+            + constants.block * counts.block_tests as f64;
+        count += 1;
+    }
+    sum / f64::from(count)
+}
+
+#[test]
+fn the_tree_for_the_machine_is_the_cheapest_tried_by_what_a_traversal_counts() {
+    let triangles = soup(300, 0.3, &mut Random(1));
+    let queries = queries(&triangles, &beam(1600));
+    let chosen = best_with(&triangles, &queries, |_| ()).expect("queries");
+    let winner = &chosen.trials[chosen.winner.expect("judged")];
+    assert!(chosen.trials.iter().all(|trial| trial.cost >= winner.cost), "{:?}", chosen.trials);
+    let near = |a: f64, b: f64| (a - b).abs() < 1e-9 * b;
+    assert!(near(nanoseconds(&chosen.tree, &triangles, &queries, 0), winner.cost));
+    let after = chosen.after.all.expect("confirmed");
+    assert!(near(nanoseconds(&chosen.tree, &triangles, &queries, 1), after));
+    let [before, area] = [chosen.before, chosen.area].map(|cost| cost.all.expect("confirmed"));
+    assert!(after <= area && after < 0.9 * before, "{after} {area} {before}");
+    verify(&chosen.tree, &triangles);
+    let whole = best_with(&triangles, &queries, |config| config.cuts = false).expect("queries");
+    assert_eq!((whole.tree.primitives.len(), whole.is_cut), (triangles.len(), false));
+    let control = best_with(&triangles, &queries, |config| config.area_only = true).expect("queries");
+    assert!(
+        control.trials.iter().all(|trial| matches!(trial.plan.start, best::Start::Built(Heuristic::Sah, ..)))
+    );
+}
+
+#[test]
+fn more_time_for_the_machines_tree_means_more_trials_never_others() {
+    let triangles = soup(200, 0.3, &mut Random(2));
+    let queries = queries(&triangles, &beam(800));
+    let plans = |chosen: &best::Chosen| -> Vec<(best::Plan, u64)> {
+        chosen.trials.iter().map(|trial| (trial.plan, trial.cost.to_bits())).collect()
+    };
+    let on = |threads: usize, budget: Duration| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        pool.install(|| best_with(&triangles, &queries, |config| config.budget = budget)).expect("queries")
+    };
+    let all = on(1, Duration::from_secs(600));
+    let also = on(3, Duration::from_secs(600));
+    assert_eq!((&all.tree, plans(&all)), (&also.tree, plans(&also)));
+    for budget in [0, 20, 100].map(Duration::from_millis) {
+        let some = on(1, budget);
+        assert!(!some.trials.is_empty() && plans(&all).starts_with(&plans(&some)));
+        let least =
+            |chosen: &best::Chosen| chosen.trials.iter().map(|t| t.cost).fold(f64::INFINITY, f64::min);
+        assert!(least(&all) <= least(&some));
+    }
+    assert_eq!(on(1, Duration::ZERO).trials.len(), 1);
+}
+
+#[test]
+fn queries_of_little_use_give_the_machine_a_tree_all_the_same() {
+    let triangles = soup(100, 0.3, &mut Random(3));
+    let few = |change: fn(&mut Query)| {
+        let mut queries = queries(&triangles, &beam(400));
+        queries.iter_mut().for_each(change);
+        queries
+    };
+    for queries in [
+        few(|query| query.is_occlusion = false),
+        few(|query| query.is_occlusion = true),
+        few(|query| query.judges = false),
+        few(|query| query.judges = true),
+        few(|query| query.segment.tfar = -1.0),
+        few(|query| query.ray.direction = Vec3::ZERO),
+        Vec::new(),
+    ] {
+        let chosen = best_with(&triangles, &queries, |_| ()).expect("a tree");
+        verify(&chosen.tree, &triangles);
+        let [before, after] = [chosen.before.all, chosen.after.all];
+        assert!(after <= before, "{after:?} {before:?}");
+    }
+    for count in 0..4 {
+        let triangles = soup(count, 0.3, &mut Random(4));
+        verify(&best_with(&triangles, &[], |_| ()).expect("a tree").tree, &triangles);
+    }
+}
+
 /// Records of a program that refused nothing.
 fn accepted(triangles: &[Triangle], count: usize) -> Vec<Record> {
     let (mut records, _) = records(triangles, count, 5);
@@ -216,8 +331,16 @@ struct Files {
 
 impl Files {
     fn new(triangles: &[Triangle], records: &[Record], scene: u64) -> Files {
+        Files::around(random_tree(triangles, 2, 1, &mut Random(12)), triangles, records, scene)
+    }
+
+    /// With a tree as a program has it.
+    fn wide(triangles: &[Triangle], records: &[Record], scene: u64) -> Files {
+        Files::around(wide_input(triangles), triangles, records, scene)
+    }
+
+    fn around(tree: Tree, triangles: &[Triangle], records: &[Record], scene: u64) -> Files {
         let directory = tempfile::tempdir().expect("a temporary directory");
-        let tree = random_tree(triangles, 2, 1, &mut Random(12));
         std::fs::write(directory.path().join("in.bvh"), tree_bytes(triangles, &tree, None)).expect("written");
         let rays = rays_bytes(scene, records, &[], 700);
         std::fs::write(directory.path().join("casts.rays"), rays).expect("written");
@@ -225,7 +348,10 @@ impl Files {
     }
 
     fn build(&self, line: &str) -> Output {
-        let line = format!("in.bvh out.bvh --rays casts.rays --heuristic auto --budget 60 {line}");
+        self.run(&format!("in.bvh out.bvh --rays casts.rays --heuristic auto --budget 60 {line}"))
+    }
+
+    fn run(&self, line: &str) -> Output {
         Command::new(env!("CARGO_BIN_EXE_bvh-build"))
             .args(line.split_whitespace())
             .current_dir(self.directory.path())
@@ -258,6 +384,52 @@ fn the_command_says_what_it_chose_and_stores_it() {
 }
 
 #[test]
+fn what_the_command_makes_of_a_wide_tree_is_for_the_machine() {
+    let triangles = soup(400, 0.25, &mut Random(11));
+    let files = Files::wide(&triangles, &accepted(&triangles, 3000), fingerprint(&triangles));
+    let path = |name: &str| files.directory.path().join(name);
+    let good = |line: &str| -> (String, Vec<usize>) {
+        let output = files.run(line);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let bytes = std::fs::read(path("out.bvh")).expect("written");
+        let bvh = Bvh::parse(&bytes).expect("valid");
+        bvh.verify().expect("a valid tree");
+        assert!(bvh.order.is_some_and(|order| order.iter().all(|&rule| rule == 1)));
+        assert_eq!(bvh.statistics.max_children, 8);
+        let leaves = bvh.tree.nodes.iter().filter(|node| node.is_leaf()).map(|node| node.len());
+        (String::from_utf8_lossy(&output.stdout).into_owned(), leaves.collect())
+    };
+    let (said, _) = good("in.bvh out.bvh --rays casts.rays --train 0.5 --budget 60");
+    assert!(said.contains("chosen") && said.contains("expected of other queries"), "{said}");
+    let (report, _) = good("in.bvh out.bvh --rays casts.rays --train 0.5 --budget 60 --format json");
+    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    let cost = |tree: &str| report["build"]["auto"]["cost"][tree]["all"].as_f64().expect("confirmed");
+    assert!(cost("tree") < cost("input") && cost("tree") <= cost("area"), "{report}");
+    good("in.bvh out.bvh");
+    good("in.bvh out.bvh --width 8 --splits sweep --rays casts.rays");
+    // Where visits cost next to nothing, leaves are small, where blocks do, large.
+    let sizes = ["1000", "0.001"].map(|block| {
+        let entry = |kind: &str| {
+            format!(r#"{{"width": 8, "kind": "{kind}", "visit": 1, "leaf": 1, "block": {block}}}"#)
+        };
+        let costs = format!(r#"{{"costs": [{}, {}]}}"#, entry("closest_hit"), entry("occlusion"));
+        std::fs::write(path("costs.json"), costs).expect("written");
+        let (_, leaves) = good("in.bvh out.bvh --costs costs.json");
+        leaves.iter().sum::<usize>() as f64 / leaves.len() as f64
+    });
+    assert!(sizes[0] < 4.1 && sizes[1] > 8.0, "{sizes:?}");
+    std::fs::remove_file(path("out.bvh")).expect("there");
+    for (costs, expected) in [(r#"{"costs": []}"#, "there is no entry"), ("no JSON", "not a file of costs")] {
+        std::fs::write(path("costs.json"), costs).expect("written");
+        let output = files.run("in.bvh out.bvh --costs costs.json");
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{error}");
+        assert!(error.contains("costs.json") && error.contains(expected), "{error}");
+        assert!(error.lines().count() == 1 && !path("out.bvh").exists(), "{error}");
+    }
+}
+
+#[test]
 fn recordings_of_no_use_give_a_line_or_the_area_tree() {
     let triangles = soup(200, 0.25, &mut Random(11));
     let good = accepted(&triangles, 400);
@@ -274,8 +446,10 @@ fn recordings_of_no_use_give_a_line_or_the_area_tree() {
         with(|record| (record.tnear, record.tfar) = (f32::INFINITY, f32::INFINITY)),
         with(|record| record.tfar = f32::INFINITY),
     ] {
-        let output = Files::new(&triangles, &records, scene).build("");
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        for files in [Files::new, Files::wide] {
+            let output = files(&triangles, &records, scene).build("");
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        }
     }
     let refused = |files: &Files, line: &str, expected: &str| {
         let output = files.build(line);

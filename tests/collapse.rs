@@ -82,7 +82,8 @@ fn the_command_collapses_and_makes_binary() {
     std::fs::write(path("in.bvh"), bytes).expect("written");
 
     for (width, max_leaf) in [("4", "1"), ("8", "8")] {
-        let output = run(&[&text("in.bvh"), &text("wide.bvh"), "--width", width, "--max-leaf", max_leaf]);
+        let recipe = ["--splits", "binned", "--width", width, "--max-leaf", max_leaf];
+        let output = run(&[&[text("in.bvh").as_str(), &text("wide.bvh")], &recipe[..]].concat());
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         let statistics = read(&path("wide.bvh"), &triangles);
         assert_eq!(statistics.max_children.to_string(), width);

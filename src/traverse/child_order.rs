@@ -303,7 +303,8 @@ pub enum OrderError {
 }
 
 impl OcclusionOrder {
-    /// The order called `name` over `tree`, whose section `ORDR` is `recorded`. Without a name, what is recorded, else nearest first.
+    /// The order called `name` over `tree`, whose section `ORDR` is `recorded`. Without a name, what is recorded, else nearest first. A section that says
+    /// the same of every node, that children are visited in the order of the file, is that order.
     ///
     /// # Errors
     /// When the recorded order is asked for and is not there, or does not fit the tree.
@@ -321,6 +322,10 @@ impl OcclusionOrder {
                 }
                 if let Some(node) = orders.iter().position(|&value| usize::from(value) >= rule::COUNT) {
                     return Err(OrderError::Value { node, value: orders[node] });
+                }
+                // Where children stand as they are to be visited, there is nothing to look up.
+                if orders.iter().all(|&order| order == rule::FIRST) {
+                    return Ok(OcclusionOrder::First);
                 }
                 OcclusionOrder::Recorded(orders.to_vec())
             }

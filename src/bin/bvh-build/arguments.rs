@@ -3,31 +3,41 @@
 use clap::{Parser, ValueEnum};
 use embree_trace::builder::{Config, Count, Splits};
 use embree_trace::cli::{Failure, TextOrJson};
+use embree_trace::cost::Costs;
+use embree_trace::files::MappedFile;
 use embree_trace::optimize::{Stage, annealing, insertion, reinsertion, rotations, treelets};
-use embree_trace::recipe::{Heuristic, Recipe};
+use embree_trace::recipe::finish::{self, Shape};
+use embree_trace::recipe::{Heuristic, Recipe, best};
 use embree_trace::replay::select::{Filter, Portion};
 use embree_trace::training::Selection;
-use embree_trace::tree::collapse;
+use embree_trace::tree::TreeView;
 use embree_trace::update::policy::Method;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Rebuild the tree of a .bvh from its triangles: a binary tree, greedy from the top, with surface area or recorded rays as
-/// the probability that a box is hit, and optimised afterwards when asked.
+/// Rebuild the tree of a .bvh from its triangles.
 ///
-/// The output is the same, byte for byte, for any number of threads.
+/// With nothing but files, the tree has as many children a node as the input's, and is the best for the machine that is found in
+/// --budget seconds: recipes are tried whole and judged by what the finished tree costs recorded queries, or without --rays by area.
+/// With --splits, --heuristic sah|rdh|blend, --optimize and the like, or from a binary tree, it is what they say: a binary tree,
+/// greedy from the top, with surface area or recorded rays as the probability that a box is hit.
+///
+/// The output is the same, byte for byte, for any number of threads, where time does not end the trials.
 #[derive(Parser)]
 #[command(
     version,
     after_help = "\
 Examples:
-  bvh-build embBuilt.bvh ours.bvh                            binned SAH, one triangle a leaf
+  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays       the best tree for these rays that it finds in 30 s
+  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --train 0.1 --budget 300   and from a tenth of the pixels, for longer
+  bvh-build embBuilt.bvh ours.bvh                            the best from area alone
+  bvh-build embBuilt.bvh ours.bvh --splits binned            a binary tree: binned SAH, one triangle a leaf
   bvh-build embBuilt.bvh ours.bvh --splits sweep             every possible cut: slower, better
   bvh-build embBuilt.bvh ours.bvh --splits sweep --alpha 0.88
   bvh-build embBuilt.bvh ours.bvh --splits spatial --optimize reinsertion   the lowest SAH cost
-  bvh-build embBuilt.bvh ours.bvh --max-leaf 8               leaves of up to 8 where that lowers the SAH cost
-  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --heuristic auto   the best tree for these rays that it finds in 30 s
-  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays       a tree for these rays: blend 0.95
+  bvh-build embBuilt.bvh ours.bvh --splits binned --max-leaf 8   leaves of up to 8 where that lowers the SAH cost
+  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --heuristic auto --width 2   the best binary tree, by box and triangle tests
+  bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --heuristic blend    a binary tree for these rays: blend 0.95
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --splits sweep --optimize rotations
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --train 0.1 --order   and an order for its occlusion queries
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --filter kind=closest --train 0.1
@@ -43,12 +53,12 @@ pub struct Arguments {
     pub input: PathBuf,
     /// The .bvh to write
     pub output: PathBuf,
-    /// Candidates at each node: binned (min(32, 4 + n/20) bins an axis), binned:N, sweep, or spatial (binned, and planes that cut
+    /// Candidates at each node: binned (the default; min(32, 4 + n/20) bins an axis), binned:N, sweep, or spatial (binned, and planes that cut
     /// triangles)
-    #[arg(long, default_value = "binned", value_name = "KIND")]
-    pub splits: Splits,
-    /// Cuts no triangle, so that each stands in one leaf: for a program whose filters must see it once. Only --heuristic auto
-    /// cuts without being asked to
+    #[arg(long, value_name = "KIND")]
+    pub splits: Option<Splits>,
+    /// Cuts no triangle, so that each stands in one leaf: for a program whose filters must see it once. The best tree
+    /// (--heuristic auto) cuts without being asked to
     #[arg(long)]
     pub no_splits: bool,
     /// With --splits spatial: most references that may be added, as a share of the triangles
@@ -57,15 +67,16 @@ pub struct Arguments {
     /// With --splits spatial: cut only where the best other split's children overlap in more than this share of the root's area
     #[arg(long, value_name = "SHARE", allow_negative_numbers = true)]
     pub overlap: Option<f64>,
-    /// Exponent of the count in a side's cost, count^ALPHA · P
-    #[arg(long, default_value_t = 1.0, value_name = "ALPHA", allow_negative_numbers = true)]
-    pub alpha: f64,
+    /// Exponent of the count in a side's cost, count^ALPHA · P; 1 by default
+    #[arg(long, value_name = "ALPHA", allow_negative_numbers = true)]
+    pub alpha: Option<f64>,
     /// The count in a side's cost: n-1, n or log-n; without this, n with --splits spatial, which adds leaves, and n-1 else
     #[arg(long, value_name = "COUNT")]
     pub count: Option<Count>,
-    /// Most triangles in a leaf; above 1, subtrees become leaves where that does not raise the SAH cost
-    #[arg(long, default_value_t = 1, value_name = "N")]
-    pub max_leaf: usize,
+    /// Most triangles in a leaf; 1 by default, 16 with more than two children a node. Above 1, subtrees become leaves where that does not
+    /// raise the cost
+    #[arg(long, value_name = "N")]
+    pub max_leaf: Option<usize>,
     /// Cost of a box test, for the SAH cost that is printed and for leaves
     #[arg(long, default_value_t = 1.0, value_name = "COST", allow_negative_numbers = true)]
     pub ci: f64,
@@ -75,12 +86,13 @@ pub struct Arguments {
     /// A recording of the scene: its queries are the rays that the tree is for
     #[arg(long, value_name = "RAYS")]
     pub rays: Option<PathBuf>,
-    /// How likely a box is hit: its area, the queries that overlap it, or both; without this, blend where there are rays
+    /// How likely a box is hit: its area, the queries that overlap it, or both; without this, auto, or for a binary tree blend where there
+    /// are rays
     #[arg(long, value_enum)]
     pub heuristic: Option<Kind>,
-    /// Weight of the rays in a blend: 0 is area, 1 is rays
-    #[arg(long, default_value_t = 0.95, value_name = "W", allow_negative_numbers = true)]
-    pub weight: f64,
+    /// Weight of the rays in a blend: 0 is area, 1 is rays; 0.95 by default
+    #[arg(long, value_name = "W", allow_negative_numbers = true)]
+    pub weight: Option<f64>,
     /// Added to every count of rays (rdh), so that a box without rays still has a cost
     #[arg(long, default_value_t = 0.0, value_name = "RAYS", allow_negative_numbers = true)]
     pub floor: f64,
@@ -111,10 +123,14 @@ pub struct Arguments {
     /// says what they cost in every order, on the training queries and on the others
     #[arg(long, requires = "rays")]
     pub order: bool,
-    /// Build with one triangle a leaf and collapse to at most N children a node and --max-leaf triangles a leaf, at least cost: --ci a
-    /// node, --cp four triangles, by area or, where there are any, by the training queries
+    /// Build with one triangle a leaf, collapse to at most N children a node and --max-leaf triangles a leaf, and optimise that: for the
+    /// machine, by area or, where there are any, by the training queries
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(2..=8))]
     pub width: Option<u8>,
+    /// What visits, leaves and blocks cost on a machine, in nanoseconds: {"costs": [{"width": 8, "kind": "closest_hit", "visit": 6.1,
+    /// "leaf": 7.7, "block": 2.0}, …]}; without this, constants that are the same everywhere
+    #[arg(long, value_name = "FILE")]
+    pub costs: Option<PathBuf>,
     /// Do not build: make the tree of the input binary, with one triangle a leaf
     #[arg(long, conflicts_with_all = ["rays", "heuristic", "optimize", "width"])]
     pub binary: bool,
@@ -140,6 +156,9 @@ pub struct Arguments {
     pub format: TextOrJson,
 }
 
+/// Of the rays in a blend, where nothing else is asked for.
+const WEIGHT: f64 = 0.95;
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Kind {
     /// Surface area
@@ -148,8 +167,9 @@ pub enum Kind {
     Rdh,
     /// --weight · rays + (1 - weight) · area
     Blend,
-    /// Whichever costs the queries least that a quarter of the training pixels were set apart for: chooses splits, leaves, weight, exponent and
-    /// optimisers within --budget, and area alone where rays do not help
+    /// Whichever costs the queries least that a quarter of the training pixels were set apart for: chooses splits, leaves, weight, costs of a
+    /// side and optimisers within --budget, and area alone where rays do not help. A binary tree is judged by its box and triangle tests,
+    /// a wider one by what it costs the machine
     Auto,
 }
 
@@ -203,19 +223,19 @@ impl Arguments {
             // Area alone is the first that it tries.
             Kind::Sah | Kind::Auto => Heuristic::Sah,
             Kind::Rdh => Heuristic::Rdh { floor: self.floor },
-            Kind::Blend => Heuristic::Blend { weight: self.weight },
+            Kind::Blend => Heuristic::Blend { weight: self.weight.unwrap_or(WEIGHT) },
         };
-        let mut splits = self.splits;
+        let mut splits = self.splits.unwrap_or(Config::default().splits);
         if let Splits::Spatial(options) = &mut splits {
             options.max_duplication = self.max_duplication.unwrap_or(options.max_duplication);
             options.overlap = self.overlap.unwrap_or(options.overlap);
         }
         let builder = Config {
             splits,
-            alpha: self.alpha,
+            alpha: self.alpha.unwrap_or(1.0),
             count: self.count.unwrap_or(splits.count()),
             // Collapsing merges leaves itself, and better where it has the choice.
-            max_leaf: if self.width.is_some() { 1 } else { self.max_leaf },
+            max_leaf: if self.width.is_some() { 1 } else { self.max_leaf.unwrap_or(1) },
             c_i: self.ci,
             c_p: self.cp,
         };
@@ -266,13 +286,44 @@ impl Arguments {
         }
     }
 
-    /// How to collapse to `width`.
-    pub fn collapsing(&self, width: u8) -> collapse::Config {
-        let config = collapse::Config::vector(width.into());
-        collapse::Config { max_leaf: self.max_leaf, node: self.ci, block: self.cp, ..config }
+    /// What a tree of `width` may look like, and what things cost.
+    pub fn shape(&self, width: usize) -> Result<Shape, Failure> {
+        let costs = match &self.costs {
+            None => Costs::default(),
+            Some(path) => {
+                let bytes = MappedFile::open(path)?;
+                let text = std::str::from_utf8(&bytes).map_err(|error| Failure::in_file(path, error))?;
+                Costs::parse(text).map_err(|error| Failure::in_file(path, error))?
+            }
+        };
+        let max_leaf = self.max_leaf.unwrap_or(if width > 2 { finish::MAX_LEAF } else { 1 });
+        let shape = Shape { width, max_leaf, costs };
+        shape.check()?;
+        Ok(shape)
     }
 
     pub fn is_auto(&self) -> bool {
         self.heuristic == Some(Kind::Auto)
+    }
+
+    /// Whether something is said that only a recipe followed by name has.
+    fn names_recipe(&self) -> bool {
+        let named = self.splits.is_some()
+            || self.alpha.is_some()
+            || self.count.is_some()
+            || self.weight.is_some()
+            || self.max_duplication.is_some()
+            || self.overlap.is_some()
+            || self.floor != 0.0
+            || self.order
+            || self.heuristic.is_some_and(|kind| kind != Kind::Auto);
+        (named && !self.is_auto()) || !self.optimize.is_empty() || self.mpi || self.binary
+    }
+
+    /// Whether the best tree for the machine is wanted, and of how many children a node: where nothing else is asked for, as many as
+    /// the input has. A binary tree is made in the ways of the paper.
+    pub fn best_width(&self, input: TreeView) -> Option<usize> {
+        let width = self.width.map_or_else(|| best::width_of(input), usize::from);
+        (!self.names_recipe() && width > 2).then_some(width)
     }
 }

@@ -1,6 +1,7 @@
 //! `bvh-build IN.bvh OUT.bvh`: the same triangles, another tree.
 
 mod arguments;
+mod machine;
 mod order;
 mod report;
 mod update;
@@ -13,12 +14,15 @@ use embree_trace::format::bvh::{self, Bvh, Contents, flag};
 use embree_trace::format::rays::Rays;
 use embree_trace::progress::Progress;
 use embree_trace::ranks::{Ranks, gather_all};
-use embree_trace::recipe::{Made, Recipe, RecipeError, auto, wide};
+use embree_trace::recipe::finish::{Effort, Queries, finish};
+use embree_trace::recipe::judge::Scene;
+use embree_trace::recipe::{Made, Recipe, RecipeError, auto};
 use embree_trace::replay::scene;
 use embree_trace::training::Segments;
 use embree_trace::training::occlusions::{self, Occlusions};
 use embree_trace::training::queries::{self, Query};
 use embree_trace::traverse::Prepared;
+use embree_trace::traverse::child_order::rule;
 use embree_trace::tree::binary::binary;
 use order::ordered;
 use report::{described, optimization, print};
@@ -33,6 +37,18 @@ struct Training {
     queries: Vec<Query>,
     occlusions: Occlusions,
 }
+
+impl Training {
+    /// What a wide tree is finished with.
+    fn for_finish(&self) -> Queries<'_> {
+        let (all, occlusions) = (self.segments.own.len(), &self.occlusions.training);
+        let share = (occlusions.len() as f64 / all.max(1) as f64).min(1.0);
+        Queries { segments: &self.segments.own, occlusions, share }
+    }
+}
+
+/// Tournaments for a tree that is followed by name.
+const ROUNDS: usize = 2;
 
 /// Time for auto.
 const BUDGET: Duration = Duration::from_secs(30);
@@ -57,9 +73,7 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
     if cuts && arguments.no_splits {
         return Err(Failure::new("--splits spatial cuts triangles, and --no-splits forbids it"));
     }
-    if let Some(width) = arguments.width {
-        arguments.collapsing(width).check()?;
-    }
+    let shape = arguments.width.map(|width| arguments.shape(width.into())).transpose()?;
     if arguments.is_auto() && !arguments.optimize.is_empty() {
         return Err(Failure::new("--heuristic auto chooses the optimisers itself: leave out --optimize"));
     }
@@ -72,6 +86,9 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
         return Err(Failure::new(
             "the tree has spatial splits, which --binary keeps and --no-splits forbids",
         ));
+    }
+    if let Some(width) = arguments.best_width(before.tree) {
+        return machine::run(arguments, &before, arguments.shape(width)?);
     }
     let training = arguments.training(&before, ranks)?;
     let training_queries = training.segments.all;
@@ -88,17 +105,19 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
             .map_err(|error| Failure::in_file(&arguments.input, error))?
     };
     let Made { mut tree, optimized } = made;
-    if let Some(width) = arguments.width {
-        let config = arguments.collapsing(width);
-        tree = wide::collapsed(&tree, before.triangles, &training.segments.own, arguments.weight, &config)?;
+    if let Some(shape) = &shape {
+        let scene = Scene { triangles: before.triangles, geometries: before.geometries };
+        let queries = training.for_finish();
+        let effort = Effort { rounds: ROUNDS, deadline: None };
+        tree = finish(scene, tree.view(), &queries, shape, &effort)?;
     }
     let seconds = started.elapsed().as_secs_f64();
 
     let is_cut = !arguments.binary && matches!(recipe.builder.splits, Splits::Spatial(_));
     let mut meta = if arguments.binary { json!({ "binary": true }) } else { recipe.meta() };
-    if let Some(width) = arguments.width {
-        meta["width"] = json!(width);
-        meta["max_leaf"] = json!(arguments.max_leaf);
+    if let Some(shape) = &shape {
+        meta["width"] = json!(shape.width);
+        meta["max_leaf"] = json!(shape.max_leaf);
     }
     if let Some(auto) = &auto {
         meta["auto"] = auto.clone();
@@ -110,7 +129,8 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
     }
     // Where the image's size is known, it stays known.
     scene::inherit(&mut meta, &before, &["image"]);
-    let wants_order = arguments.order || !training.occlusions.training.is_empty();
+    let wants_order = arguments.order || (shape.is_none() && !training.occlusions.training.is_empty());
+    let in_place = vec![rule::FIRST; if shape.is_some() { tree.nodes.len() } else { 0 }];
     let ordered = wants_order.then(|| {
         let prepared = Prepared::new(tree.view(), before.triangles, before.geometries);
         ordered(&prepared, tree.view(), &training.occlusions, arguments)
@@ -124,7 +144,10 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
         tree: tree.view(),
         triangles: before.triangles,
         geometries: before.geometries,
-        order: ordered.as_ref().map(|(orders, _)| orders.as_slice()),
+        order: ordered
+            .as_ref()
+            .map(|(orders, _)| orders.as_slice())
+            .or(shape.is_some().then_some(&in_place[..])),
         meta: Some(&meta.to_string()),
         flags: before.header.flags & kept | if is_cut { flag::SPATIAL_SPLITS } else { 0 },
         producer: &producer,
@@ -170,7 +193,7 @@ impl Arguments {
             training.segments =
                 selection.read(&rays, bvh, ranks).map_err(|error| Failure::in_file(path, error))?;
         }
-        if self.order || self.is_auto() {
+        if self.order || self.is_auto() || self.width.is_some() {
             training.occlusions =
                 occlusions::read(&selection, &rays, bvh).map_err(|error| Failure::in_file(path, error))?;
         }

@@ -51,7 +51,12 @@ pub fn print(report: &Value, format: TextOrJson) -> std::io::Result<()> {
     if report["training_queries"] != 0 {
         writeln!(out, "{} training queries", report["training_queries"])?;
     }
-    print_trials(&mut out, &report["build"]["auto"])?;
+    let auto = &report["build"]["auto"];
+    if auto["plan"].is_object() {
+        print_plans(&mut out, auto)?;
+    } else {
+        print_trials(&mut out, auto)?;
+    }
     let update = &report["build"]["update"];
     if let Some(method) = update["method"].as_str() {
         let rebuilt = if update["rebuilt"] == true { ", rebuilt" } else { "" };
@@ -74,6 +79,46 @@ pub fn print(report: &Value, format: TextOrJson) -> std::io::Result<()> {
     print_order(&mut out, &report["order"])?;
     let cost = |tree: &str| report[tree]["sah_cost"].as_f64().unwrap_or_default();
     writeln!(out, "{:<12}{:>10.2}{:>12.2}", "SAH cost", cost("before"), cost("after"))
+}
+
+/// What was tried for the machine: a line for each plan, with what a judging query costs; and what the tree is expected to gain over the input's.
+fn print_plans(out: &mut impl Write, auto: &Value) -> std::io::Result<()> {
+    let trials = auto["trials"].as_array().map(Vec::as_slice).unwrap_or_default();
+    let unit = if auto["judges"] == 0 { "a random ray" } else { "a judging query" };
+    writeln!(out, "{:<54}{:>18}", format!("{} judging queries", auto["judges"]), format!("ns, {unit}"))?;
+    for (index, trial) in trials.iter().enumerate() {
+        let plan = &trial["plan"];
+        let text = |key: &str| plan[key].as_str().unwrap_or_default();
+        let mut name = match text("start") {
+            "input" => "the input's own tree".to_owned(),
+            _ => format!("{} {}", text("splits"), text("heuristic")),
+        };
+        if let Some(weight) = plan["weight"].as_f64() {
+            name += &format!(" {weight}");
+        }
+        if text("count") == "log-n" || plan["alpha"].as_f64().is_some_and(|alpha| alpha != 1.0) {
+            name += &format!(", ({})^{:.2}", text("count"), plan["alpha"].as_f64().unwrap_or_default());
+        }
+        name += &format!(", {}", text("level"));
+        if plan["part"] != 0 {
+            name += &format!(" {}", plan["part"]);
+        }
+        let chosen = if auto["winner"] == index { "  chosen" } else { "" };
+        writeln!(out, "{name:<54}{:>18.2}{chosen}", trial["cost"].as_f64().unwrap_or_default())?;
+    }
+    if auto["confirming"] == 0 {
+        return Ok(());
+    }
+    let cost = &auto["cost"];
+    writeln!(out, "expected of other queries ({} held out), ns each", auto["confirming"])?;
+    writeln!(out, "{:<14}{:>10}{:>12}{:>12}{:>10}", "", "input", "area alone", "this tree", "ratio")?;
+    for (key, name) in [("all", "all"), ("closest_hit", "closest hit"), ("occlusion", "occlusion")] {
+        let of = |tree: &str| cost[tree][key].as_f64();
+        if let (Some(input), Some(area), Some(tree)) = (of("input"), of("area"), of("tree")) {
+            writeln!(out, "{name:<14}{input:>10.2}{area:>12.2}{tree:>12.2}{:>10.3}", tree / input)?;
+        }
+    }
+    Ok(())
 }
 
 /// What auto tried: a line for each recipe, with what it costs a judging query and what that is of area alone.

@@ -12,7 +12,7 @@ const EXAMPLES: &str = "\
 Examples:
   Record a program, build a better tree from what it asked, and let it render with that:
     embree-trace record --savetrace casts.rays built.bvh -- pathtracer -c scene.ecs -o plain.ppm
-    bvh-build built.bvh ours.bvh --rays casts.rays --train 0.1 --heuristic auto --width 8 --max-leaf 8
+    bvh-build built.bvh ours.bvh --rays casts.rays --train 0.1
     embree-trace run --tree ours.bvh -- pathtracer -c scene.ecs -o planted.ppm
   Trees of several scenes, or of several programs, in a directory:
     embree-trace run --trees trees/ -- blender -b scene.blend -f 1

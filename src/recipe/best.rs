@@ -1,0 +1,393 @@
+//! The best tree for recorded queries that can be found in a time: whole recipes are tried and judged by what the finished tree really costs.
+//!
+//! A recipe goes all the way, from the probability of the greedy build over optimisers and exponents to the wide tree and the order of its
+//! children ([`super::finish`]), because what is cheaper as a binary tree need not be cheaper as the tree that is followed. Data flows so: the
+//! training queries are parted by pixel into those that trees are fitted to, those that choose between trees, and those that confirm the choice;
+//! the cost of a tree is counted by the traversal ([`super::judge`]) and priced by [`crate::cost`].
+//!
+//! Trials come in levels, each of which takes more time for fewer recipes (successive halving: Karnin, Koren and Somekh, "Almost optimal
+//! exploration in multi-armed bandits", 2013):
+//!
+//! 1. the input's own tree optimised, area alone, and blends of rays and area with both ways to split, quickly: few queries, rotations, leaves only;
+//! 2. other costs of a side (n^0.9, log n, ∛(n-1)) for the two best of those, as quickly;
+//! 3. the best quarter with more queries, reinsertion and a tournament of subtrees;
+//! 4. the best two of those with insertion, treelets and more rounds;
+//! 5. the best two again and again, from other training queries: which ones a tree is fitted to decides up to 6% of its cost.
+//!
+//! Where triangles may not be cut, a full sweep is all there is, and the input's own tree takes part if it cuts none either.
+//!
+//! What is tried next depends on what was found, never on the clock; the clock only ends it. So more time means more trials, never
+//! others, and the tree that is chosen is never worse on the queries that choose. A trial is begun when one like it would end in time, and
+//! is not cut short.
+//!
+//! [`build`] is the whole of it for a file and its recording, [`Built`] what is written or planted afterwards.
+
+mod file;
+mod plan;
+
+pub use file::{Built, build};
+pub use plan::{Level, Plan, Start};
+
+use super::finish::{Effort, Queries, Shape, finish};
+use super::judge::{Cost, Judged, Scene, judge};
+use super::{Heuristic, Recipe, RecipeError};
+use crate::builder::{self, Splits};
+use crate::cost::Constants;
+use crate::format::bvh::{Bvh, flag};
+use crate::geometry::Ray;
+use crate::progress::Progress;
+use crate::random::mixed;
+use crate::training::even;
+use crate::training::occlusions::Occlusion;
+use crate::training::queries::Query;
+use crate::traverse::OcclusionOrder;
+use crate::tree::statistics::Statistics;
+use crate::tree::{Node, Tree, TreeView};
+use plan::{BLENDS, EARLY, SIDES, SPATIAL};
+use std::time::{Duration, Instant};
+
+/// How to choose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Config {
+    pub shape: Shape,
+    /// Time for all of it. The first tree is always finished.
+    pub budget: Duration,
+    /// Whether trees from area alone are all that is tried: the control.
+    pub area_only: bool,
+    /// Whether triangles may be cut, and stand in several leaves.
+    pub cuts: bool,
+}
+
+/// The tree that is to be replaced, as it is followed now.
+#[derive(Clone, Debug)]
+pub struct Input<'a> {
+    pub tree: TreeView<'a>,
+    /// In which order occlusion queries visit its children.
+    pub order: OcclusionOrder,
+    /// Whether it has spatial splits.
+    pub is_cut: bool,
+}
+
+impl<'a> Input<'a> {
+    /// The tree of a file. Without a section `ORDR`, it is taken to be followed as Embree's kernels do, the last child first.
+    pub fn of(bvh: &Bvh<'a>) -> Input<'a> {
+        let order = bvh.order.and_then(|order| OcclusionOrder::new(None, bvh.tree, Some(order)).ok());
+        Input {
+            tree: bvh.tree,
+            order: order.unwrap_or(OcclusionOrder::Last),
+            is_cut: bvh.header.flags & flag::SPATIAL_SPLITS != 0,
+        }
+    }
+}
+
+/// One plan that was followed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trial {
+    pub plan: Plan,
+    /// Nanoseconds of a query that chooses.
+    pub cost: f64,
+    pub seconds: f64,
+}
+
+/// What was chosen.
+#[derive(Clone, Debug)]
+pub struct Chosen {
+    /// Children in the order in which occlusion queries are to visit them.
+    pub tree: Tree,
+    pub plan: Plan,
+    /// Whether the tree has spatial splits.
+    pub is_cut: bool,
+    /// In the order in which they were made.
+    pub trials: Vec<Trial>,
+    /// Which of them was chosen; `None` when there was nothing to choose by.
+    pub winner: Option<usize>,
+    /// What a confirming query costs in the input's tree, in the best from area alone, and in this one.
+    pub before: Cost,
+    pub area: Cost,
+    pub after: Cost,
+    /// Queries that chose, and that confirmed.
+    pub judges: [usize; 2],
+}
+
+/// About so many trials are made where there is time for every level once.
+pub const TRIALS: u64 = 24;
+
+/// Queries that judge, at most, on either side.
+const JUDGES: usize = 1 << 15;
+
+/// Other parts of the queries that are tried at most, and trials in a row that may bring nothing.
+const MOST_PARTS: u64 = 64;
+const PATIENCE: usize = 8;
+
+/// Tries plans and returns the best tree, on the threads of the current rayon pool. Without `queries` it is the best from area alone, by area.
+///
+/// # Errors
+/// When a number of `config` is out of range.
+pub fn choose(
+    scene: Scene,
+    input: Input,
+    queries: &[Query],
+    config: &Config,
+    progress: &Progress,
+) -> Result<Chosen, RecipeError> {
+    let started = Instant::now();
+    let (judges, fit): (Vec<&Query>, Vec<&Query>) = queries.iter().partition(|query| query.judges);
+    let mut chooser = Chooser {
+        scene,
+        input,
+        config,
+        started,
+        fit,
+        choosing: even(&judges.iter().copied().step_by(2).collect::<Vec<_>>(), JUDGES),
+        confirming: even(&judges.iter().copied().skip(1).step_by(2).collect::<Vec<_>>(), JUDGES),
+        share: queries.iter().filter(|query| query.is_occlusion).count() as f64 / queries.len().max(1) as f64,
+        trials: Vec::new(),
+        best: None,
+        best_area: None,
+        progress,
+    };
+    chooser.run()?;
+    chooser.end()
+}
+
+struct Chooser<'a> {
+    scene: Scene<'a>,
+    input: Input<'a>,
+    config: &'a Config,
+    started: Instant,
+    /// Queries that trees are fitted to.
+    fit: Vec<&'a Query>,
+    choosing: Vec<&'a Query>,
+    confirming: Vec<&'a Query>,
+    /// Of occlusion.
+    share: f64,
+    trials: Vec<Trial>,
+    /// The cheapest tree, and the cheapest from area alone, with the numbers of their trials.
+    best: Option<(usize, Tree)>,
+    best_area: Option<(usize, Tree)>,
+    progress: &'a Progress,
+}
+
+impl Chooser<'_> {
+    fn run(&mut self) -> Result<(), RecipeError> {
+        let quick = |start| Plan { start, level: Level::Quick, part: 0 };
+        // Area first: it is the answer when there is time for nothing else.
+        let allowed = |splits: &Splits| self.config.cuts || *splits == Splits::Sweep;
+        let area: Vec<Plan> = [SPATIAL, Splits::Sweep]
+            .into_iter()
+            .filter(allowed)
+            .map(|splits| quick(Start::built(Heuristic::Sah, splits)))
+            .collect();
+        let rays = !self.fit.is_empty() && !self.config.area_only;
+        let blends: Vec<Plan> = BLENDS
+            .into_iter()
+            .filter(|(_, splits)| rays && allowed(splits))
+            .map(|(weight, splits)| quick(Start::built(Heuristic::Blend { weight }, splits)))
+            .collect();
+        let own = self.improves_input().then(|| quick(Start::Input));
+        let early = blends.len().min(EARLY);
+        let plans = area[..1].iter().chain(&blends[..early]).chain(&own).chain(&area[1..]);
+        let plans: Vec<Plan> = plans.chain(&blends[early..]).copied().collect();
+        for plan in plans {
+            if !self.attempt(plan)? {
+                return Ok(());
+            }
+        }
+        for plan in self.cheapest(Level::Quick, 2) {
+            if let Start::Built(heuristic, splits, ..) = plan.start {
+                for (count, alpha) in SIDES {
+                    if !self.attempt(quick(Start::Built(heuristic, splits, count, alpha)))? {
+                        return Ok(());
+                    }
+                }
+            }
+        }
+        let promising = self.trials.len().div_ceil(4);
+        for plan in self.cheapest(Level::Quick, promising) {
+            if !self.attempt(Plan { level: Level::Full, ..plan })? {
+                return Ok(());
+            }
+        }
+        for plan in self.cheapest(Level::Full, 2) {
+            if !self.attempt(Plan { level: Level::Patient, ..plan })? {
+                return Ok(());
+            }
+        }
+        let finalists = self.cheapest(Level::Patient, 2);
+        for part in 1..MOST_PARTS {
+            for plan in finalists.iter().filter(|plan| plan.start.needs_rays()) {
+                let since = self.best.as_ref().map_or(0, |(winner, _)| self.trials.len() - winner);
+                if since > PATIENCE || !self.attempt(Plan { part, ..*plan })? {
+                    return Ok(());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether the input's own tree is a start: a tree of this width and not too deep to be walked node by node, without
+    /// splits where there may be none.
+    fn improves_input(&self) -> bool {
+        let Statistics { depth, max_children, .. } = Statistics::of(self.input.tree);
+        let fits = max_children <= self.config.shape.width && depth <= builder::MAX_DEPTH;
+        fits && !self.config.area_only && (self.config.cuts || !self.input.is_cut)
+    }
+
+    /// The plans of a level by cost, the cheapest first.
+    fn cheapest(&self, level: Level, most: usize) -> Vec<Plan> {
+        let mut of_level: Vec<&Trial> =
+            self.trials.iter().filter(|trial| trial.plan.level == level).collect();
+        of_level.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        of_level.iter().take(most).map(|trial| trial.plan).collect()
+    }
+
+    /// Seconds that a trial is expected to take: the longest of its level, or some times that of the level below.
+    fn expected(&self, level: Level) -> f64 {
+        let longest = |level: Level| {
+            let seconds =
+                self.trials.iter().filter(|trial| trial.plan.level == level).map(|trial| trial.seconds);
+            seconds.fold(0.0, f64::max)
+        };
+        let known = longest(level);
+        match level {
+            _ if known > 0.0 => known,
+            Level::Quick => 0.0,
+            Level::Full => 3.0 * longest(Level::Quick),
+            Level::Patient => 3.0 * longest(Level::Full).max(longest(Level::Quick)),
+        }
+    }
+
+    /// Follows a plan, if there is time; whether there was.
+    fn attempt(&mut self, plan: Plan) -> Result<bool, RecipeError> {
+        let elapsed = self.started.elapsed().as_secs_f64();
+        let first = self.trials.is_empty();
+        if !first && elapsed + self.expected(plan.level) > self.config.budget.as_secs_f64() {
+            return Ok(false);
+        }
+        let begun = Instant::now();
+        let tree = self.follow(&plan)?;
+        let cost = self.cost(&tree);
+        let seconds = begun.elapsed().as_secs_f64();
+        let number = self.trials.len();
+        let better = |best: &Option<(usize, Tree)>, trials: &[Trial]| {
+            best.as_ref().is_none_or(|(winner, _)| cost < trials[*winner].cost)
+        };
+        if !plan.start.needs_rays() && better(&self.best_area, &self.trials) {
+            self.best_area = Some((number, tree.clone()));
+        }
+        if better(&self.best, &self.trials) {
+            self.best = Some((number, tree));
+        }
+        self.trials.push(Trial { plan, cost, seconds });
+        self.progress.advance(1);
+        Ok(true)
+    }
+
+    /// Queries of a part: those whose numbers, mixed with the part's, are the least.
+    fn part(&self, plan: &Plan) -> Vec<&Query> {
+        let most = plan.level.queries().min(self.fit.len());
+        if plan.part == 0 {
+            return even(&self.fit, most);
+        }
+        // Where there are no others, most of them, but not all.
+        let most = most.min((self.fit.len() * 9).div_ceil(10));
+        let mut keys: Vec<(u64, usize)> = (0..self.fit.len())
+            .map(|place| (mixed(plan.part.wrapping_mul(0x9E37_79B9).wrapping_add(place as u64)), place))
+            .collect();
+        keys.sort_unstable();
+        keys.truncate(most);
+        keys.sort_unstable_by_key(|&(_, place)| place);
+        keys.into_iter().map(|(_, place)| self.fit[place]).collect()
+    }
+
+    fn follow(&self, plan: &Plan) -> Result<Tree, RecipeError> {
+        let queries =
+            if plan.start.needs_rays() && !self.config.area_only { self.part(plan) } else { Vec::new() };
+        let segments: Vec<Ray> = queries.iter().map(|query| query.segment).collect();
+        let occlusion = |query: &&Query| {
+            query.is_occlusion.then(|| Occlusion {
+                ray: query.ray,
+                mask: query.mask,
+                rejects: query.rejects.clone(),
+            })
+        };
+        let occlusions: Vec<Occlusion> = queries.iter().filter_map(occlusion).collect();
+        let made;
+        let tree = match plan.start {
+            Start::Input => self.input.tree,
+            Start::Built(heuristic, splits, count, alpha) => {
+                let builder = builder::Config { count, alpha, ..builder::Config::of(splits) };
+                let recipe = Recipe { heuristic, builder, stages: plan.level.stages(), budget: None };
+                made = recipe.make(self.scene.triangles, &segments, &Progress::hidden())?.tree;
+                made.view()
+            }
+        };
+        let effort = Effort { rounds: plan.level.rounds(), deadline: None };
+        let queries = Queries { segments: &segments, occlusions: &occlusions, share: self.share };
+        Ok(finish(self.scene, tree, &queries, &self.config.shape, &effort)?)
+    }
+
+    /// Nanoseconds of a query that chooses; without any, of a random ray by area.
+    fn cost(&self, tree: &Tree) -> f64 {
+        let Shape { width, costs, .. } = &self.config.shape;
+        let judged = self.judged(tree.view(), &OcclusionOrder::First, &self.choosing);
+        judged.cost(costs).all.unwrap_or_else(|| area_cost(tree, &costs.mixed(*width, 0.0)))
+    }
+
+    fn judged(&self, tree: TreeView, order: &OcclusionOrder, queries: &[&Query]) -> Judged {
+        judge(self.scene, tree, order, queries)
+    }
+
+    /// The cheapest tree, unless the queries that did not choose it like area alone better.
+    fn end(mut self) -> Result<Chosen, RecipeError> {
+        let costs = &self.config.shape.costs;
+        let (best, area) = (self.best.take(), self.best_area.take());
+        let confirmed =
+            |tree: &Tree| self.judged(tree.view(), &OcclusionOrder::First, &self.confirming).cost(costs);
+        let before = self.judged(self.input.tree, &self.input.order, &self.confirming).cost(costs);
+        let Some((mut winner, mut tree)) = best else {
+            return Err(RecipeError::NoRays("auto"));
+        };
+        let mut after = confirmed(&tree);
+        let mut of_area = after;
+        if let Some((number, control)) = area {
+            of_area = confirmed(&control);
+            if of_area.all < after.all {
+                (winner, tree, after) = (number, control, of_area);
+            }
+        }
+        let plan = self.trials[winner].plan;
+        let judged = !self.choosing.is_empty();
+        Ok(Chosen {
+            tree,
+            plan,
+            is_cut: plan.start.is_cut() || (plan.start == Start::Input && self.input.is_cut),
+            winner: judged.then_some(winner),
+            before,
+            area: of_area,
+            after,
+            judges: [self.choosing.len(), self.confirming.len()],
+            trials: self.trials,
+        })
+    }
+}
+
+/// What a random ray that meets the root costs, by area.
+fn area_cost(tree: &Tree, constants: &Constants) -> f64 {
+    let area = |node: &Node| f64::from(node.bounds().area());
+    let whole = area(&tree.nodes[0]).max(f64::MIN_POSITIVE);
+    let cost = |node: &Node| {
+        let own = if node.is_leaf() {
+            constants.leaf + constants.block * node.len().div_ceil(4) as f64
+        } else {
+            constants.visit
+        };
+        area(node) / whole * own
+    };
+    tree.nodes.iter().map(cost).sum()
+}
+
+/// Most children of a node of a tree that `input` is to be replaced by: as many as its own have, two to eight.
+pub fn width_of(input: TreeView) -> usize {
+    Statistics::of(input).max_children.clamp(2, 8)
+}
