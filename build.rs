@@ -38,9 +38,11 @@ mod embree {
         "plant_tree.cpp",
         "tree.cpp",
     ];
-    /// Sources of the preload library that stand between a query and Embree: the one that only plants has none of them.
-    const ASKING: [&str; 4] =
+    /// Sources that stand between a query and Embree to record it: only the preload library that records has them.
+    const RECORDING: [&str; 4] =
         ["preload_embree4.cpp", "preload_filters.cpp", "preload_queries.cpp", "preload_thread.cpp"];
+    /// The source that stands there to take its time: only the preload library that times has it.
+    const TIMING: [&str; 1] = ["preload_clock.cpp"];
 
     /// Checks that the packages are there, compiles the shim and the preload library, binds their C ABI.
     pub fn build() -> Result<(), String> {
@@ -71,8 +73,8 @@ mod embree {
         source.file_name().is_some_and(|name| name.to_string_lossy().starts_with(PRELOAD))
     }
 
-    /// Makes the preload libraries, which go into the binary: one that records, and plants where it is asked to, and one that
-    /// only plants.
+    /// Makes the preload libraries, which go into the binary: one that records, and plants where it is asked to, one that
+    /// only plants, and one that plants and takes times.
     fn link_preload(shim: &cc::Build, sources: &[PathBuf], out: &Path) -> Result<(), String> {
         let shared = SHARED.map(|name| Path::new(DIRECTORY).join(name));
         let all: Vec<&PathBuf> = sources.iter().filter(|source| is_preload(source)).chain(&shared).collect();
@@ -83,12 +85,18 @@ mod embree {
             .out_dir(out.join("preload"))
             .try_compile_intermediates()
             .map_err(|error| format!("cannot compile the preload library: {error}"))?;
-        link(shim, &objects, &out.join("preload.so"))?;
         // Objects come in the order of their sources.
-        let is_asking = |source: &Path| ASKING.iter().any(|name| source.ends_with(name));
-        let planting = all.iter().zip(objects).filter(|(source, _)| !is_asking(source));
-        let planting: Vec<PathBuf> = planting.map(|(_, object)| object).collect();
-        link(shim, &planting, &out.join("preload_plant.so"))
+        let without = |left_out: &[&str]| -> Vec<PathBuf> {
+            let is_in = |source: &Path| !left_out.iter().any(|name| source.ends_with(name));
+            all.iter()
+                .zip(&objects)
+                .filter(|(source, _)| is_in(source))
+                .map(|(_, object)| object.clone())
+                .collect()
+        };
+        link(shim, &without(&TIMING), &out.join("preload.so"))?;
+        link(shim, &without(&RECORDING), &out.join("preload_clock.so"))?;
+        link(shim, &without(&[&TIMING[..], &RECORDING].concat()), &out.join("preload_plant.so"))
     }
 
     /// Links a library that is loaded into programs that know nothing of it: it brings its own C++ library, shows nothing but

@@ -16,7 +16,7 @@
 #include "shim.h"
 
 /* Changes with every change of this file. */
-#define EXCHANGE_MAGIC 0x3530684378457445ull
+#define EXCHANGE_MAGIC 0x3630684378457445ull
 
 enum {
   EXCHANGE_SLOTS = 256,          /* threads that can record at a time */
@@ -149,5 +149,29 @@ typedef struct ExchangeOutcome {
   ShimPlanted planted;
   char reason[256];
 } ExchangeOutcome;
+
+/* Time in Embree, a file without a name: ExchangeClocks, and EXCHANGE_CLOCKS of ExchangeClock. A thread adds to rows of its
+ * own, one for each scene that it asks. */
+enum { EXCHANGE_CLOCKS = 65536 };
+enum { EXCHANGE_CLOSEST_HIT = 0, EXCHANGE_OCCLUSION = 1 };
+
+typedef struct ExchangeClocks {
+  uint64_t magic;
+  uint32_t count;  /* rows that were taken; above EXCHANGE_CLOCKS there was none for some */
+  uint32_t unused;
+  uint64_t unused_too[14];
+} ExchangeClocks;
+
+typedef struct ExchangeClock {
+  uint32_t process;
+  uint32_t scene;    /* of the process's scenes, from 0 */
+  uint64_t geometry; /* a hash of its triangles and quads by geomID, kind and count; 0: it has none, or is not known */
+  /* By EXCHANGE_CLOSEST_HIT and EXCHANGE_OCCLUSION. */
+  uint64_t calls[2];
+  uint64_t rays[2];
+  uint64_t timed[2];       /* calls whose time was taken */
+  uint64_t nanoseconds[2]; /* of all calls, as estimated from those */
+  uint64_t unused[6];
+} ExchangeClock;
 
 #endif

@@ -127,6 +127,21 @@ Committed committed(const Scene& scene, const std::vector<Attachment>& attachmen
   return found;
 }
 
+// FNV-1a of what a scene's geometries tell without a look at their vertices; the same in every run of a program.
+std::uint64_t hash_of(const std::vector<Count>& counts) noexcept {
+  if (counts.empty()) return 0;
+  std::uint64_t hash = 0xCBF29CE484222325ull;
+  const auto add = [&](std::uint64_t value) {
+    for (unsigned byte = 0; byte < sizeof value; byte++) hash = (hash ^ (value >> 8 * byte & 0xFF)) * 0x100000001B3ull;
+  };
+  for (const Count& count : counts) {
+    add(count.geometry);
+    add(count.kind);
+    add(count.triangles);
+  }
+  return hash;
+}
+
 // Plants in the scene as it was committed last and captures it, if nobody has. Called without the registry's lock.
 void capture(Scene& scene) {
   const std::lock_guard<std::mutex> lock(scene.commit);
@@ -157,6 +172,7 @@ void capture(Scene& scene) {
     scene.revision++;
   }
   scene.capture.swap(made);
+  scene.geometry = hash_of(now.counts);
   scene.pending.store(false, std::memory_order_release);
   registry().epoch.fetch_add(1, std::memory_order_acq_rel);
 }
@@ -189,6 +205,21 @@ void after_commit(RTCScene handle) noexcept {
   }
 }
 
+// Runs `use` on a scene as it was committed last, if it is known.
+template <typename Use>
+void look_up(RTCScene handle, Use&& use) noexcept {
+  try {
+    const auto scene = scene_of(handle);
+    if (scene == nullptr) return;
+    // Another thread's commit may have returned later than this one's, when both joined it.
+    if (scene->pending.load(std::memory_order_acquire)) capture(*scene);
+    const std::lock_guard<std::mutex> lock(registry().lock);
+    use(*scene);
+  } catch (...) {
+    // Without memory it is not known.
+  }
+}
+
 }  // namespace
 
 bool follows() noexcept { return (exchange() != nullptr || trees() != nullptr) && real().is_known(); }
@@ -196,16 +227,18 @@ bool follows() noexcept { return (exchange() != nullptr || trees() != nullptr) &
 std::uint64_t epoch() noexcept { return registry().epoch.load(std::memory_order_acquire); }
 
 const Capture* capture_of(RTCScene handle) noexcept {
-  try {
-    const auto scene = scene_of(handle);
-    if (scene == nullptr) return nullptr;
-    // Another thread's commit may have returned later than this one's, when both joined it.
-    if (scene->pending.load(std::memory_order_acquire)) capture(*scene);
-    const std::lock_guard<std::mutex> lock(registry().lock);
-    return scene->capture.get();
-  } catch (...) {
-    return nullptr;
-  }
+  const Capture* found = nullptr;
+  look_up(handle, [&](const Scene& scene) { found = scene.capture.get(); });
+  return found;
+}
+
+bool identify(RTCScene handle, Identity& identity) noexcept {
+  bool found = false;
+  look_up(handle, [&](const Scene& scene) {
+    identity = {scene.index, scene.geometry};
+    found = true;
+  });
+  return found;
 }
 
 }  // namespace preload

@@ -93,6 +93,7 @@ struct Scene {
   std::uint64_t revision = 0;  // commits so far that changed it
   int references = 1;
   std::shared_ptr<const Capture> capture;  // of the last commit
+  std::uint64_t geometry = 0;              // a hash of what could be planted in, as it was committed last; 0: nothing
 
   std::atomic<bool> pending{false};  // committed, or being so, and not yet captured
   std::mutex commit;
@@ -118,6 +119,15 @@ bool follows() noexcept;
 
 // Changes when a scene is committed or goes away: what was looked up before is then looked up again.
 std::uint64_t epoch() noexcept;
+
+// What a scene is told by: its index, and what was committed last.
+struct Identity {
+  std::uint32_t scene;
+  std::uint64_t geometry;
+};
+
+// False when the scene is not known. For when a thread does not remember it: takes a lock.
+bool identify(RTCScene scene, Identity& identity) noexcept;
 
 // The last commit of a scene; null when it is not known. For when a thread does not remember it: takes a lock.
 const Capture* capture_of(RTCScene scene) noexcept;

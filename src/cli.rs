@@ -12,6 +12,7 @@ use std::fmt;
 use std::io;
 use std::path::Path;
 use std::process::ExitCode;
+use std::time::Duration;
 
 /// How a command ended, when it could do its work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -162,6 +163,15 @@ fn agreed(ranks: &dyn Ranks, result: Result<Outcome, Failure>) -> Result<Outcome
     };
     // What the first says needs no name: it is what one process would have said.
     Err(if failed.rank == 0 { Failure::new(failed.line) } else { Failure::new(failed) })
+}
+
+/// A length of time in seconds, as `--budget` has it.
+///
+/// # Errors
+/// When it is no number, is negative, or longer than any time.
+pub fn seconds(text: &str) -> Result<Duration, String> {
+    let seconds = text.parse::<f64>().ok().and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
+    seconds.ok_or_else(|| "expected a number of seconds, not negative".into())
 }
 
 /// `--format` of commands that print for people or for machines.

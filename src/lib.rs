@@ -19,6 +19,7 @@
 //! | results | [`compare`], [`report`], [`experiment`] | trees side by side; tables, JSON, heat maps; the paper's figures |
 //! | a window's logic | [`explore`] | walking a tree; where its work goes; what a query does, step by step |
 //! | on screen | `view` (feature) | the window `bvh-view`, and its screenshots |
+//! | all of it | `tune` (feature) | a program recorded, its trees built and planted, and the time that it saves |
 //! | around it | [`cli`], [`progress`], [`random`], [`ranks`] | what all commands and all algorithms share; several processes that do the work of one |
 //!
 //! # Invariants
@@ -60,6 +61,8 @@ pub mod report;
 pub mod training;
 pub mod traverse;
 pub mod tree;
+#[cfg(feature = "embree")]
+pub mod tune;
 pub mod update;
 #[cfg(feature = "viewer")]
 pub mod view;

@@ -733,16 +733,103 @@ fn planted_trees_are_found_or_left() {
     let instances = run_host(&[], "instances");
     let flattened = build_trees(&instances);
     let output = run_planted(&[], &flattened, host(), &["instances"]);
-    assert!(
-        output.status.code() == Some(2) && said(&output).contains("placed by instances"),
-        "{}",
-        said(&output)
-    );
-    // A program without Embree.
-    let output = run_planted(&[], &ours, Path::new("true"), &[]);
-    assert!(
-        output.status.code() == Some(2) && said(&output).contains("nothing is planted"),
-        "{}",
-        said(&output)
-    );
+    assert!(output.status.success() && output.stdout == unrecorded("instances"), "{}", said(&output));
+    assert!(said(&output).contains("placed by instances"), "{}", said(&output));
+    // A program without Embree runs as it does.
+    for (program, status) in [("true", 0), ("false", 1)] {
+        let output = run_planted(&[], &ours, Path::new(program), &[]);
+        assert_eq!(output.status.code(), Some(status), "{}", said(&output));
+        let warnings = said(&output).matches("warning: nothing is planted").count();
+        assert_eq!(warnings, usize::from(status == 0), "{}", said(&output));
+    }
+}
+
+/// `embree-trace tune` of a shell script, in a directory of its own.
+fn tune(directory: &Path, options: &[&str], script: &str) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_embree-trace"))
+        .args(["tune", "--budget", "0.1", "--rounds", "2"])
+        .args(options)
+        .args(["--", "sh", "-c", script])
+        .current_dir(directory)
+        .output()
+        .unwrap()
+}
+
+/// A program is run, recorded, given trees and timed; what it writes is compared, and what pays is what a later run plants.
+#[test]
+fn programs_are_tuned() {
+    let directory = tempfile::tempdir().unwrap();
+    let script = format!("{} streams > out.txt", host().display());
+    let output = tune(directory.path(), &["--output", "out.txt", "--format", "json"], &script);
+    assert!(output.status.success(), "{}", said(&output));
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    // As many queries as there are, in the count and in the recording.
+    let queries = run_host(&[], "streams").rays();
+    let queries = Rays::parse(&queries).unwrap().query_count();
+    assert_eq!(report["queries"].as_u64(), Some(queries), "{report}");
+    assert_eq!(report["recorded"].as_u64(), Some(queries), "{report}");
+    let file = &report["outputs"][0];
+    assert_eq!((&file["plain"]["differing"], &file["planted"]["differing"]), (&0.into(), &0.into()));
+    assert_eq!((&file["plain"]["runs"], &file["planted"]["runs"]), (&3.into(), &2.into()));
+    let scene = &report["scenes"][0];
+    assert_eq!((scene["planted"].as_bool(), scene["queries"].as_u64()), (Some(true), Some(queries)));
+    // The tree is where the report says, and is planted from there.
+    let tree = directory.path().join(scene["tree"].as_str().unwrap());
+    let trees = tree.parent().unwrap().display().to_string();
+    let output = run_planted(&["--trees", &trees], &[], host(), &["streams"]);
+    assert!(output.status.success() && said(&output).contains("planted  "), "{}", said(&output));
+    let kept = scene["kept"].as_bool().unwrap();
+    assert_eq!(trees.ends_with("trees"), kept, "{report}");
+    let next = format!("embree-trace run --trees trees -- sh -c '{script}'");
+    assert_eq!(report["next"].as_str(), kept.then_some(next.as_str()));
+}
+
+/// A file that planted trees change is told from one that changes by itself.
+#[test]
+fn changes_of_what_a_tuned_program_writes_are_told() {
+    // The table of trees is longer than its header where there are any.
+    let planted = "[ $(stat -Lc %s $EMBREE_TRACE_TREES) -gt 1100 ] && echo planted > out.txt; true";
+    for (changes, status) in [(planted, 1), ("date +%N > out.txt", 0), ("true", 0)] {
+        let directory = tempfile::tempdir().unwrap();
+        let script = format!("{} plain > out.txt; {changes}", host().display());
+        let output = tune(directory.path(), &["--output", "out.txt"], &script);
+        assert_eq!(output.status.code(), Some(status), "{changes}: {}", said(&output));
+        let told = String::from_utf8_lossy(&output.stdout).into_owned();
+        let line = told.lines().find(|line| line.starts_with("output")).unwrap_or_default();
+        let same = line.contains("the same in 2 runs");
+        assert_eq!(
+            (same, line.contains("Embree's trees, too")),
+            (changes == "true", changes.contains("date")),
+            "{line}"
+        );
+    }
+}
+
+/// Nothing that can be tuned: one line.
+#[test]
+fn what_cannot_be_tuned_is_told() {
+    let host = host().display();
+    for (script, what) in [
+        ("true".to_owned(), "asked Embree nothing"),
+        ("exit 3".to_owned(), "ended with 3 in its first run"),
+        (format!("{host} plain; exit 4"), "ended with 4"),
+        (format!("{host} plain"), "has not written it"),
+        (format!("{host} instances; touch out.txt"), "nothing to plant"),
+    ] {
+        let directory = tempfile::tempdir().unwrap();
+        std::fs::write(directory.path().join("out.txt"), "old").unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(60));
+        let output = tune(directory.path(), &["--output", "out.txt"], &script);
+        assert_eq!(output.status.code(), Some(2), "{script}: {}", said(&output));
+        assert!(
+            said(&output).lines().count() == 1 && said(&output).contains(what),
+            "{script}: {}",
+            said(&output)
+        );
+    }
+    for wrong in [["--rounds", "0"], ["--budget", "-1"], ["--queries", "0"]] {
+        let directory = tempfile::tempdir().unwrap();
+        let output = tune(directory.path(), &wrong, "true");
+        assert_eq!((output.status.code(), said(&output).lines().count()), (Some(2), 1), "{}", said(&output));
+    }
 }

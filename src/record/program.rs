@@ -9,6 +9,7 @@
 //! at most the query that each thread was at. When this process is killed, the file is good up to its last chunk, and the program goes on.
 
 mod capture;
+pub mod clocks;
 mod collect;
 mod ending;
 mod exchange;
@@ -17,6 +18,7 @@ pub mod purpose;
 pub mod report;
 pub mod run;
 pub mod select;
+pub mod timed;
 pub mod trees;
 
 use crate::files::{self, FileError};
@@ -26,12 +28,12 @@ use exchange::{Exchange, memory_file, path_of};
 use purpose::Rules;
 use report::Report;
 use select::{Selection, Selector};
-use std::ffi::{OsStr, OsString};
+use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 use thiserror::Error;
 use trees::{Trees, TreesError, Wanted};
@@ -43,11 +45,59 @@ const VARIABLE: &str = "EMBREE_TRACE_EXCHANGE";
 /// How long to wait when the program has handed over nothing.
 const PAUSE: Duration = Duration::from_millis(1);
 
+/// A program that somebody else wrote.
+#[derive(Clone, Debug)]
+pub struct Program {
+    pub name: OsString,
+    pub arguments: Vec<OsString>,
+    /// What its standard output and error are added to, and then it reads nothing; ours when `None`.
+    pub said: Option<PathBuf>,
+}
+
+impl Program {
+    /// A program and its arguments as a command line has them; `None` without any word.
+    pub fn from_words(words: Vec<OsString>) -> Option<Program> {
+        let mut words = words.into_iter();
+        words.next().map(|name| Program { name, arguments: words.collect(), said: None })
+    }
+
+    /// All words.
+    pub fn words(&self) -> impl Iterator<Item = &OsString> {
+        std::iter::once(&self.name).chain(&self.arguments)
+    }
+
+    /// Starts it with a preload library, and with variables set for it.
+    fn start(&self, environment: &[(&str, String)], library: &File) -> Result<Child, ProgramError> {
+        // Other libraries that are to be preloaded stay, behind ours.
+        let mut preload = OsString::from(path_of(library));
+        if let Some(others) = std::env::var_os("LD_PRELOAD").filter(|others| !others.is_empty()) {
+            preload.push(":");
+            preload.push(others);
+        }
+        let mut command = Command::new(&self.name);
+        command
+            .args(&self.arguments)
+            .env("LD_PRELOAD", preload)
+            .envs(environment.iter().map(|(name, value)| (name, value)));
+        if let Some(path) = &self.said {
+            let error = |source| ProgramError::File(FileError::new(path, "open", source));
+            let file = File::options().append(true).create(true).open(path).map_err(error)?;
+            command.stdin(Stdio::null()).stdout(file.try_clone().map_err(error)?).stderr(file);
+        }
+        let failed =
+            |source| ProgramError::Start { program: self.name.to_string_lossy().into_owned(), source };
+        let child = command.spawn().map_err(failed)?;
+        // A terminal sends an interrupt to both: the program decides what it does then, and we write down what it asked.
+        // SAFETY: to ignore a signal needs no handler.
+        unsafe { libc::signal(libc::SIGINT, libc::SIG_IGN) };
+        Ok(child)
+    }
+}
+
 /// What to run, and what to write.
 #[derive(Clone, Debug)]
 pub struct Options {
-    pub program: OsString,
-    pub arguments: Vec<OsString>,
+    pub program: Program,
     pub rays: PathBuf,
     /// Of the first scene; see [`report::SceneLine::path`] for the others.
     pub bvh: PathBuf,
@@ -94,9 +144,9 @@ pub fn record(options: &Options) -> Result<Report, ProgramError> {
     let directory = Directory::beside(&options.rays)?;
     let exchange = Exchange::new(&directory.0).map_err(ProgramError::Exchange)?;
     let library = library_file(LIBRARY).map_err(ProgramError::Exchange)?;
-    let rules = options.rules.unwrap_or_else(|| Rules::of_program(Path::new(&options.program)));
+    let rules = options.rules.unwrap_or_else(|| Rules::of_program(Path::new(&options.program.name)));
     let selector = Selector::new(options.selection.clone(), rules);
-    let command = std::iter::once(&options.program).chain(&options.arguments);
+    let command = options.program.words();
     let target = Target {
         bvh: options.bvh.clone(),
         directory: directory.0.clone(),
@@ -117,7 +167,7 @@ pub fn record(options: &Options) -> Result<Report, ProgramError> {
 
     let mut environment = vec![(VARIABLE, exchange.path())];
     environment.extend(trees.as_ref().map(|trees| (trees::VARIABLE, trees.path())));
-    let mut child = start(&options.program, &options.arguments, &environment, &library)?;
+    let mut child = options.program.start(&environment, &library)?;
     let end = match collect(&mut child, &mut collector, &exchange) {
         Ok(end) => end,
         Err(error) => {
@@ -162,30 +212,6 @@ fn library_file(library: &[u8]) -> io::Result<File> {
     let mut file = memory_file(c"libembree_trace_preload.so")?;
     file.write_all(library)?;
     Ok(file)
-}
-
-fn start(
-    program: &OsStr,
-    arguments: &[OsString],
-    environment: &[(&str, String)],
-    library: &File,
-) -> Result<Child, ProgramError> {
-    // Other libraries that are to be preloaded stay, behind ours.
-    let mut preload = OsString::from(path_of(library));
-    if let Some(others) = std::env::var_os("LD_PRELOAD").filter(|others| !others.is_empty()) {
-        preload.push(":");
-        preload.push(others);
-    }
-    let child = Command::new(program)
-        .args(arguments)
-        .env("LD_PRELOAD", preload)
-        .envs(environment.iter().map(|(name, value)| (name, value)))
-        .spawn()
-        .map_err(|source| ProgramError::Start { program: program.to_string_lossy().into_owned(), source })?;
-    // A terminal sends an interrupt to both: the program decides what it does then, and we write down what it asked.
-    // SAFETY: to ignore a signal needs no handler.
-    unsafe { libc::signal(libc::SIGINT, libc::SIG_IGN) };
-    Ok(child)
 }
 
 /// As a shell says it.

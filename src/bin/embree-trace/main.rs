@@ -2,6 +2,7 @@
 
 mod record;
 mod run;
+mod tune;
 
 use clap::{Parser, ValueEnum};
 use embree_trace::cli::{self, Failure, Outcome, TextOrJson};
@@ -52,6 +53,9 @@ Examples:
 
   Let a program that uses Embree render on a tree of our own (see embree-trace run --help):
     embree-trace run --tree ours.bvh -- pathtracer -c scene.ecs -o out.ppm
+
+  All of it at once: how much faster does it render on trees made from its rays (see embree-trace tune --help)?
+    embree-trace tune --output out.ppm -- pathtracer -c scene.ecs -o out.ppm
 
   Record a program that uses Embree (see embree-trace record --help):
     embree-trace record --savetrace casts.rays built.bvh -- blender -b scene.blend -f 1
@@ -191,12 +195,13 @@ fn main() -> ExitCode {
         // Everything behind `--` is the program's, so nothing is respelled.
         Some("record") => return record::main(arguments),
         Some("run") => return run::main(arguments),
+        Some("tune") => return tune::main(arguments),
         Some("render") => drop(arguments.remove(1)),
         _ => {}
     }
     let words = arguments.into_iter().map(spelled);
     let arguments: Arguments = cli::parse_beside("embree-trace", words, |command| {
-        command.subcommand(record::command()).subcommand(run::command())
+        command.subcommand(record::command()).subcommand(run::command()).subcommand(tune::command())
     });
     cli::run("embree-trace", || run(&arguments))
 }

@@ -6,7 +6,7 @@ use embree_trace::cli::{self, Failure, TextOrJson};
 use embree_trace::format::rays::Codec;
 use embree_trace::record::program::purpose::Rules;
 use embree_trace::record::program::select::Selection;
-use embree_trace::record::program::{self, Options};
+use embree_trace::record::program::{self, Options, Program};
 use embree_trace::replay::select::Filter;
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -108,11 +108,10 @@ fn run(arguments: Arguments) -> Result<u8, Failure> {
     if rays == bvh {
         return Err(Failure::new(format!("{}: given for both the rays and the tree", rays.display())));
     }
-    let mut words = arguments.program.into_iter();
-    let program = words.next().ok_or_else(|| Failure::new("no program is given"))?;
+    let program =
+        Program::from_words(arguments.program).ok_or_else(|| Failure::new("no program is given"))?;
     let report = program::record(&Options {
         program,
-        arguments: words.collect(),
         rays,
         bvh,
         codec: if compress { Codec::Compressed } else { Codec::Raw },

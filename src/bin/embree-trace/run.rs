@@ -2,6 +2,7 @@
 
 use clap::{Args, Command, CommandFactory, Parser};
 use embree_trace::cli::{self, Failure, TextOrJson};
+use embree_trace::record::program::Program;
 use embree_trace::record::program::run::{self, Options};
 use embree_trace::record::program::trees::{Planting, Wanted};
 use std::ffi::OsString;
@@ -18,7 +19,7 @@ Examples:
     embree-trace run --trees trees/ -- blender -b scene.blend -f 1
 
 Each tree goes into the scenes whose geometries it is of: the same numbers, kinds, triangles and vertices, to the bit. In all other
-scenes, and on any doubt, Embree's own tree stays. Nothing stands between a query and Embree; only commits take longer.
+scenes, and on any doubt, Embree's own tree stays, and a line says so. Nothing stands between a query and Embree; only commits take longer.
 
 SIGTERM and SIGHUP are passed on to the program.
 
@@ -74,23 +75,28 @@ fn run(arguments: Arguments) -> Result<u8, Failure> {
             "no tree is given: name one with --tree, or a directory of them with --trees",
         ));
     }
-    let mut words = arguments.program.into_iter();
-    let program = words.next().ok_or_else(|| Failure::new("no program is given"))?;
-    let report = run::run(&Options { program, arguments: words.collect(), wanted })?;
+    let program =
+        Program::from_words(arguments.program).ok_or_else(|| Failure::new("no program is given"))?;
+    let mut report = run::run(&Options { program, wanted })?;
+    if report.planting.is_empty() && report.status == 0 {
+        report.planting.warnings.push(nothing_planted(report.planting.foreign).to_owned());
+    }
     match arguments.format {
         TextOrJson::Text => show("embree-trace run", &report.planting),
         TextOrJson::Json => {
             eprintln!("{}", serde_json::to_string_pretty(&report).map_err(std::io::Error::from)?)
         }
     }
-    if report.planting.is_empty() && report.status == 0 {
-        return Err(Failure::new(if report.planting.foreign {
-            "nothing is planted: the program's Embree is neither libembree3 nor libembree4"
-        } else {
-            "nothing is planted: the program has committed no scene with triangles to a shared libembree3: it may have none, another version, or one linked into it"
-        }));
-    }
     Ok(u8::try_from(report.status).unwrap_or(u8::MAX))
+}
+
+/// Why no scene of a program that ended well was seen.
+fn nothing_planted(foreign: bool) -> &'static str {
+    if foreign {
+        "nothing is planted: the program's Embree is neither libembree3 nor libembree4"
+    } else {
+        "nothing is planted: the program has committed no scene with triangles to a shared libembree3: it may have none, another version, or one linked into it"
+    }
 }
 
 /// Prints what became of the scenes.

@@ -46,6 +46,10 @@ pub enum TreesError {
     File(#[from] FileError),
     #[error("{}: {problem}", path.display())]
     Tree { path: PathBuf, problem: String },
+    #[error(
+        "{}: its triangles were placed by instances, and no scene of the program has them so", path.display()
+    )]
+    Instances { path: PathBuf },
     #[error("cannot share memory with the program: {0}")]
     Share(#[from] io::Error),
 }
@@ -65,32 +69,31 @@ impl Trees {
     /// Reads and checks every file.
     ///
     /// # Errors
-    /// When a file that was named is no whole `.bvh`, or there is no memory. A file of a directory is only left out, and a warning
-    /// says so.
+    /// When a file that was named is no whole `.bvh`, or there is no memory. A file of a directory is only left out, as a tree of
+    /// flattened instances is, and a warning says so.
     pub fn new(wanted: &Wanted) -> Result<Trees, TreesError> {
         let mut trees = Trees {
             paths: Vec::new(),
-            named: wanted.trees.len(),
+            named: 0,
             table: memory_file(c"embree-trace trees")?,
             outcomes: memory_file(c"embree-trace outcomes")?,
             warnings: Vec::new(),
         };
+        let found = wanted.directory.iter().map(|directory| found_in(directory));
+        let found = found.collect::<Result<Vec<_>, _>>()?.concat();
         let mut entries = Vec::new();
-        for path in &wanted.trees {
-            entries.push(entry(path)?);
-            trees.paths.push(path.display().to_string());
-        }
-        for path in wanted
-            .directory
-            .iter()
-            .map(|directory| found_in(directory))
-            .collect::<Result<Vec<_>, _>>()?
-            .concat()
-        {
-            match entry(&path) {
+        for (number, path) in wanted.trees.iter().chain(&found).enumerate() {
+            match entry(path) {
                 Ok(entry) => {
                     entries.push(entry);
                     trees.paths.push(path.display().to_string());
+                    trees.named += usize::from(number < wanted.trees.len());
+                }
+                // What was named is to be a tree. One that no scene can have is left out as others are that none has.
+                Err(error)
+                    if number < wanted.trees.len() && !matches!(error, TreesError::Instances { .. }) =>
+                {
+                    return Err(error);
                 }
                 Err(error) => trees.warnings.push(format!("{error}; it is left out")),
             }
@@ -151,9 +154,7 @@ fn entry(path: &Path) -> Result<ExchangeTree, TreesError> {
     let problem = |problem: String| TreesError::Tree { path: path.to_owned(), problem };
     let bvh = Bvh::parse(&bytes).map_err(|error| problem(error.to_string()))?;
     if bvh.header.flags & flag::FLATTENED != 0 {
-        return Err(problem(
-            "its triangles were placed by instances, and no scene of the program has them so".to_owned(),
-        ));
+        return Err(TreesError::Instances { path: path.to_owned() });
     }
     // Sections are viewed in place.
     let offset = |start: *const u8| (start as usize - bytes.as_ptr() as usize) as u64;
