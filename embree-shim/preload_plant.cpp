@@ -70,8 +70,14 @@ bool Planting::plant(const Committed& scene, const Trees& trees, std::size_t num
   const double started = seconds_now();
   ExchangeOutcome outcome = outcome_of(scene, EXCHANGE_LEFT, "there is no memory left");
   try {
-    const TreeArrays arrays(trees.known()[number].entry);
-    planted_ = shim::plant(ground_of(scene), arrays.file(), nullptr);
+    const Trees::Known& known = trees.known()[number];
+    const shim::Ground ground = ground_of(scene);
+    // Of many trees with the scene's counts, frames say, most are told apart without their arrays being read.
+    if (!scene.others && !known.box.contains(ground.bounds[0])) {
+      throw shim::Doubt("the box of its root does not hold what the scene holds");
+    }
+    const TreeArrays arrays(known.entry);
+    planted_ = shim::plant(ground, arrays.file(), nullptr);
     stands_ = true;
     outcome.outcome = EXCHANGE_PLANTED;
     outcome.planted = planted_->describe();

@@ -66,17 +66,24 @@ void check_same(const Input& input, const ExchangeTree& entry) {
   }
 }
 
-// The rows of GEOM that have triangles. Instances and what moves are in no scene as the file has them.
-std::vector<Count> counts_of(const ExchangeTree& entry) {
+// What is looked at before the arrays are: the rows of GEOM that have triangles, and the box of the root. Instances and what moves
+// are in no scene as the file has them.
+Trees::Known known_of(const ExchangeTree& entry) {
+  Trees::Known known{entry, {}, {}};
   const Input input(entry.path);
   check_same(input, entry);
+  if (entry.node_count == 0) return known;
+  const ShimNode root = input.read<ShimNode>(entry.nodes, 1).front();
+  std::copy(root.lower, root.lower + 3, known.box.lower);
+  std::copy(root.upper, root.upper + 3, known.box.upper);
   std::vector<Count> counts;
   for (const ShimGeometry& row : input.read<ShimGeometry>(entry.geometries, entry.geometry_count)) {
-    if (row.instance != no_instance) return {};
+    if (row.instance != no_instance) return known;
     if (row.triangle_count != 0) counts.push_back({row.geometry, row.kind, row.triangle_count});
   }
   std::sort(counts.begin(), counts.end());
-  return counts;
+  known.counts.swap(counts);
+  return known;
 }
 
 const Trees* read_table() noexcept {
@@ -90,13 +97,12 @@ const Trees* read_table() noexcept {
     if (table.magic != EXCHANGE_MAGIC) throw shim::Doubt("it is of another version of embree-trace");
     std::vector<Trees::Known> known;
     for (const ExchangeTree& entry : input.read<ExchangeTree>(sizeof table, table.count)) {
-      Trees::Known tree{entry, {}};
       try {
-        tree.counts = counts_of(entry);
+        known.push_back(known_of(entry));
       } catch (const shim::Doubt&) {
         // It is in no scene then, and embree-trace says so at the end.
+        known.push_back({entry, {}, {}});
       }
-      known.push_back(std::move(tree));
     }
     found = new Trees(std::move(known), table);
   } catch (const std::exception& problem) {

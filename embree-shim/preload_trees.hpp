@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "exchange.h"
+#include "faces.hpp"
 
 namespace preload {
 
@@ -27,6 +28,7 @@ class Trees {
   struct Known {
     ExchangeTree entry;
     std::vector<Count> counts;  // by geomID; empty when no scene can have them
+    shim::Bounds box;           // of its root
   };
 
   explicit Trees(std::vector<Known> known, const ExchangeTrees& table) : known_(std::move(known)), table_(table) {}

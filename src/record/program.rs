@@ -153,6 +153,7 @@ pub fn record(options: &Options) -> Result<Report, ProgramError> {
         codec: options.codec,
         max_triangles: options.max_triangles,
         command: command.map(|word| word.to_string_lossy().into_owned()).collect(),
+        planted: trees.as_ref().map(Trees::files).unwrap_or_default(),
     };
     let failed = |records, error| match error {
         CollectError::Rays(source) => {

@@ -7,6 +7,7 @@ use super::exchange::{Batch, Exchange};
 use super::flatten::{Flattened, flatten};
 use super::report::{LeftOut, SceneLine};
 use super::select::{Run, Selector};
+use super::trees::order_of;
 use crate::files::{FileError, OutputFile};
 use crate::format::bvh::{self, Contents};
 use crate::format::rays::{ChunkInfo, Codec, Header, RaysWriter, Totals, encode_chunk};
@@ -27,6 +28,8 @@ pub struct Target {
     pub max_triangles: u32,
     /// As it was called, for `META`.
     pub command: Vec<String>,
+    /// Trees that may have been planted.
+    pub planted: Vec<PathBuf>,
 }
 
 /// See the module.
@@ -218,11 +221,12 @@ impl Collector {
             }
         })
         .to_string();
+        let order = order_of(&self.target.planted, tree.view(), &triangles);
         let contents = Contents {
             tree: tree.view(),
             triangles: &triangles,
             geometries: &geometries,
-            order: None,
+            order: order.as_deref(),
             meta: Some(&meta),
             flags,
             producer: &producer,

@@ -11,6 +11,8 @@ use crate::embree::ffi::{
 };
 use crate::files::{FileError, MappedFile};
 use crate::format::bvh::{Bvh, flag};
+use crate::geometry::Triangle;
+use crate::tree::TreeView;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -114,6 +116,11 @@ impl Trees {
     /// What [`VARIABLE`] is set to.
     pub fn path(&self) -> String {
         path_of(&self.table)
+    }
+
+    /// The files that may be planted.
+    pub fn files(&self) -> Vec<PathBuf> {
+        self.paths.iter().map(PathBuf::from).collect()
     }
 
     /// What became of the scenes until now.
@@ -234,6 +241,19 @@ pub struct PlantedScene {
     pub seconds: f64,
     /// Why Embree's own tree is traversed since the last commit that changed something.
     pub left_out: Option<String>,
+}
+
+/// In which order occlusion queries visit the children of `tree`, over `triangles`, where it is one of `files` that was planted and is read back: its
+/// section `ORDR`, which memory does not hold.
+pub fn order_of(files: &[PathBuf], tree: TreeView, triangles: &[Triangle]) -> Option<Vec<u8>> {
+    files.iter().find_map(|path| {
+        let bytes = MappedFile::open(path).ok()?;
+        let bvh = Bvh::parse(&bytes).ok()?;
+        let is_same = bvh.tree.nodes == tree.nodes
+            && bvh.tree.primitives == tree.primitives
+            && bytemuck::cast_slice::<_, u8>(bvh.triangles) == bytemuck::cast_slice::<_, u8>(triangles);
+        bvh.order.filter(|_| is_same).map(<[u8]>::to_vec)
+    })
 }
 
 /// What became of a program's scenes.
