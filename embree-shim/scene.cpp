@@ -149,7 +149,7 @@ void Scene::attach(std::uint32_t id, const ShimPart& part, RTCBuffer vertices, s
   here.faces = part.faces;
   here.corners = quads ? 4 : 3;
   here.mask = part.mask;
-  here.first_triangle = static_cast<std::uint32_t>(triangle_count());
+  here.first_triangle = part.first_triangle;
   here.vertex_count = vertex_count;
   if (part.faces != 0) {
     std::unique_ptr<RTCGeometryTy, Release> geometry(
@@ -241,8 +241,8 @@ Tree Scene::live_tree(const ShimFault* fault) const {
 
 std::uint64_t Scene::triangles(float* triangles) const noexcept {
   std::uint64_t replaced = 0;
-  float* out = triangles;
   for (const Part& part : parts()) {
+    float* out = triangles + std::size_t{9} * part.first_triangle;
     for (std::uint64_t face = 0; face < part.faces; face++, out += 9 * part.triangles_per_face()) {
       replaced += part.triangles(face, out);
     }

@@ -35,6 +35,7 @@ typedef struct ShimPart {
   uint64_t faces;
   uint32_t corners; /* 3 triangles, 4 quads */
   uint32_t mask;
+  uint32_t first_triangle; /* in TRIS; parts share no triangle, and leave none out */
 } ShimPart;
 
 typedef struct ShimScene ShimScene;

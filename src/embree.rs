@@ -7,6 +7,7 @@
 //! [`Record`]: crate::format::rays::Record
 
 pub(crate) mod ffi;
+mod file;
 mod intersector;
 mod plant;
 mod settings;
@@ -14,12 +15,13 @@ mod settings;
 pub mod testing;
 mod tree;
 
+pub use file::whole;
 pub use intersector::{BATCH_RECORDS, BatchSink, Hit, Intersector, Query, Stop};
 pub use plant::{Arrays, Planted};
 pub use settings::{Commit, Isa, Quality, Settings, TRI_ACCELS};
 pub use tree::{BuiltTree, TreeSource};
 
-use crate::format::bvh::Geometry;
+use crate::format::bvh::{Geometry, geometry_kind};
 use crate::geometry::{Aabb, Triangle, Vec3};
 use crate::mesh::Mesh;
 use std::ptr::NonNull;
@@ -51,7 +53,8 @@ impl EmbreeError {
     }
 }
 
-/// A committed scene. Part `i` of the mesh is Embree's geomID `i`; triangles are numbered as [`Mesh::triangles`] does.
+/// A committed scene. Part `i` of a mesh is Embree's geomID `i`; triangles are numbered as [`Mesh::triangles`] does, or as in
+/// the file whose scene it is.
 pub struct Scene {
     handle: NonNull<ffi::ShimScene>,
     geometries: Vec<Geometry>,
@@ -74,17 +77,28 @@ impl Scene {
     /// though Embree drops them.
     pub fn new(mesh: &Mesh, settings: &Settings) -> Result<Scene, EmbreeError> {
         check(mesh)?;
-        let config = settings.device_config()?;
+        let geometries = mesh.geometries(ALL_MASKS);
         let parts: Vec<ffi::ShimPart> = mesh
             .parts
             .iter()
-            .map(|part| ffi::ShimPart {
-                indices: part.indices.as_ptr(),
-                faces: (part.indices.len() / part.faces.corners()) as u64,
-                corners: part.faces.corners() as u32,
-                mask: ALL_MASKS,
-            })
+            .zip(&geometries)
+            .map(|(part, geometry)| attached(&part.indices, geometry))
             .collect();
+        // SAFETY: `check` has shown every index of the parts, whose arrays are the mesh's, to be in range.
+        unsafe { Scene::commit(&mesh.vertices, &parts, geometries, settings) }
+    }
+
+    /// Makes and commits a scene of `parts`, of which the one at `i` is Embree's geometry `i`.
+    ///
+    /// # Safety
+    /// The parts' arrays are live, of the lengths that stand beside them, and every index in them is one of `vertices`.
+    unsafe fn commit(
+        vertices: &[Vec3],
+        parts: &[ffi::ShimPart],
+        geometries: Vec<Geometry>,
+        settings: &Settings,
+    ) -> Result<Scene, EmbreeError> {
+        let config = settings.device_config()?;
         let shim_settings = ffi::ShimSettings {
             device: config.as_ptr(),
             quality: settings.quality.shim_value(),
@@ -92,19 +106,18 @@ impl Scene {
             commit: settings.commit.shim_value(),
         };
         let mut error = ffi::no_error();
-        // SAFETY: all pointers are to live arrays of the lengths given, `check` has shown every index to be in range, and the
-        // shim copies what it needs.
+        // SAFETY: the vertices are three floats each, as many as is said; the caller vouches for the parts; the shim copies what
+        // it needs.
         let handle = unsafe {
             ffi::shim_scene_new(
                 &shim_settings,
-                mesh.vertices.as_ptr().cast(),
-                mesh.vertices.len() as u64,
+                vertices.as_ptr().cast(),
+                vertices.len() as u64,
                 parts.as_ptr(),
                 parts.len() as u32,
                 &mut error,
             )
         };
-        let geometries = mesh.geometries(ALL_MASKS);
         NonNull::new(handle)
             .map(|handle| Scene { handle, geometries, planted: Vec::new(), chosen: 0 })
             .ok_or_else(|| match settings.isa {
@@ -191,6 +204,18 @@ impl Drop for Scene {
     }
 }
 
+/// Faces of one geometry, for the shim.
+fn attached(indices: &[u32], geometry: &Geometry) -> ffi::ShimPart {
+    let corners = if geometry.kind == geometry_kind::QUADS { 4 } else { 3 };
+    ffi::ShimPart {
+        indices: indices.as_ptr(),
+        faces: (indices.len() / corners) as u64,
+        corners: corners as u32,
+        mask: geometry.mask,
+        first_triangle: geometry.first_triangle,
+    }
+}
+
 /// What Embree itself does not check, and would read out of bounds without.
 fn check(mesh: &Mesh) -> Result<(), EmbreeError> {
     for part in &mesh.parts {
@@ -202,11 +227,13 @@ fn check(mesh: &Mesh) -> Result<(), EmbreeError> {
             )));
         }
     }
-    // NO_TRIANGLE is no index, and a leaf's count and Embree's own numbers have 31 bits.
+    check_counts(mesh.triangle_count(), mesh.vertices.len(), mesh.parts.len())
+}
+
+/// NO_TRIANGLE is no index, and a leaf's count and Embree's own numbers have 31 bits.
+fn check_counts(triangles: usize, vertices: usize, parts: usize) -> Result<(), EmbreeError> {
     let limit = i32::MAX as usize;
-    for (what, count) in
-        [("triangles", mesh.triangle_count()), ("vertices", mesh.vertices.len()), ("parts", mesh.parts.len())]
-    {
+    for (what, count) in [("triangles", triangles), ("vertices", vertices), ("parts", parts)] {
         if count > limit {
             return Err(EmbreeError::Mesh(format!(
                 "the mesh has {count} {what}; at most {limit} are possible"

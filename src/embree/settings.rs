@@ -1,8 +1,7 @@
 //! How Embree is set up: what was asked for becomes a device configuration, or an error before Embree sees it.
 
 use super::{EmbreeError, ffi};
-use crate::geometry::Aabb;
-use crate::mesh::Mesh;
+use crate::geometry::{Aabb, Vec3};
 use std::ffi::CString;
 use std::fmt;
 
@@ -175,7 +174,7 @@ impl Settings {
         CString::new(config.join(",")).map_err(|error| EmbreeError::Setting(error.to_string()))
     }
 
-    /// Asks for Embree's robust kernels when a mesh stands so far from the origin that the default
+    /// Asks for Embree's robust kernels when a scene stands so far from the origin that the default
     /// ones lose hits there, and nothing was asked for that robust kernels go without. Returns what
     /// to tell the user.
     ///
@@ -183,12 +182,12 @@ impl Settings {
     /// whose last term is rounded: sides are off by half the distance between floats at o, and rays
     /// slip by the rims of walls. Without AVX2 they do not, so the queries would also differ from
     /// machine to machine.
-    pub fn suit(&mut self, mesh: &Mesh) -> Option<String> {
+    pub fn suit(&mut self, vertices: &[Vec3]) -> Option<String> {
         let chosen = self.robust || self.compact || self.tri_accel.is_some();
         if chosen || self.quality == Quality::High {
             return None;
         }
-        let finite = mesh.vertices.iter().filter(|vertex| vertex.is_finite());
+        let finite = vertices.iter().filter(|vertex| vertex.is_finite());
         let bounds = finite.fold(Aabb::EMPTY, |bounds, vertex| bounds.grown(*vertex));
         let away = f64::from(bounds.lower.abs().max(bounds.upper.abs()).max_element());
         let size = bounds.extent().as_dvec3().length();

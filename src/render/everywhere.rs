@@ -194,7 +194,7 @@ fn the_same_rays_hit_where_floats_are_half_a_metre_apart() {
 fn robust_kernels_are_used_where_floats_are_far_apart() {
     let (stage, default) = (towers(), Settings::default());
     let suited = |place: Place, mut settings: Settings| {
-        let told = settings.suit(&place.mesh(&stage.mesh));
+        let told = settings.suit(&place.mesh(&stage.mesh).vertices);
         assert_eq!(told.is_some(), settings.robust);
         settings.robust
     };

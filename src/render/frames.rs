@@ -85,7 +85,7 @@ impl Sequence<'_> {
 
         files::create_empty_directory(self.directory)?;
         let mut settings = self.settings.clone();
-        summary.warnings.extend(settings.suit(&mesh));
+        summary.warnings.extend(settings.suit(&mesh.vertices));
         let mut scene = Scene::new(&mesh, &settings)?;
         let mut plants = Plants { trees: self.trees.map(plant::Frames::new), heard: None };
         let mut planted = plants.plant(&mut scene, 0, self.digits(), &mut summary.warnings)?;

@@ -47,7 +47,7 @@ int failed(const ShimError& error) {
 
 int main() {
   const ShimSettings settings{"threads=1", SHIM_QUALITY_MEDIUM, SHIM_SCENE_ROBUST, SHIM_COMMIT_ONCE};
-  const ShimPart parts[] = {{triangle, 1, 3, 1}, {quad, 1, 4, 3}};
+  const ShimPart parts[] = {{triangle, 1, 3, 1, 0}, {quad, 1, 4, 3, 1}};
   ShimError error{};
   ShimScene* scene = shim_scene_new(&settings, vertices, 7, parts, 2, &error);
   if (scene == nullptr) return failed(error);

@@ -77,10 +77,12 @@ struct Plan {
     const auto last = static_cast<std::uint32_t>(vertices.size() / 3);
     vertices.insert(vertices.end(), {nan, 0, 0});
     dropped = {0, 1, last};
-    parts = {{faces.data(), faces.size() / 3, 3, 0xFFFFFFFFu},
-             {quads.data(), quads.size() / 4, 4, 2},
-             {nullptr, 0, 3, 0xFFFFFFFFu},
-             {dropped.data(), 1, 3, 0xFFFFFFFFu}};
+    const auto flat = static_cast<std::uint32_t>(faces.size() / 3);
+    const auto both = flat + static_cast<std::uint32_t>(quads.size() / 2);
+    parts = {{faces.data(), faces.size() / 3, 3, 0xFFFFFFFFu, 0},
+             {quads.data(), quads.size() / 4, 4, 2, flat},
+             {nullptr, 0, 3, 0xFFFFFFFFu, both},
+             {dropped.data(), 1, 3, 0xFFFFFFFFu, both}};
   }
   Plan(const Plan&) = delete;
 

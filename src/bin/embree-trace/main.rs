@@ -378,7 +378,7 @@ fn trace_one(arguments: &Arguments, plan: Plan) -> Result<Summary, Failure> {
 
     let (mesh, warnings) = mesh::read_with(path, &Options { quads: arguments.quads, ..Options::default() })?;
     summary.warnings.extend(warnings.to_string().lines().map(str::to_owned));
-    summary.warnings.extend(settings.suit(&mesh));
+    summary.warnings.extend(settings.suit(&mesh.vertices));
     (summary.triangles, summary.parts) = (mesh.triangle_count() as u64, mesh.parts.len() as u64);
     summary.seconds.read = lap();
 
