@@ -1,10 +1,11 @@
 //! Trees over the same recorded queries: what each costs, whether each answers right, and how they relate to the first.
 //!
 //! One tree at a time is prepared and replayed, over one recording after the other, so memory holds one prepared tree,
-//! whatever the number of trees.
+//! whatever the number of trees. Embree's kernels ([`kernels`]) and the clock ([`timing`]) come after that, with all trees in memory.
 
 pub mod explained;
 pub mod fit;
+pub mod kernels;
 pub mod timing;
 mod verdict;
 
@@ -24,6 +25,7 @@ use crate::replay::{self, Outcome};
 use crate::traverse::{Masks, OcclusionOrder, OrderError, OrderName, Prepared, Traversal};
 use crate::tree::epo::end_point_overlap;
 use crate::tree::statistics::{Statistics, sah_cost};
+use kernels::{AnswersOnTrees, EmbreeScenes, Kernels, Wanted};
 use thiserror::Error;
 use timing::Timing;
 
@@ -61,6 +63,8 @@ pub struct Settings {
     pub packet: Option<usize>,
     /// Whether to count tests by level of the tree, and cache lines: every query is followed once more, alone. Not for packets.
     pub profile: bool,
+    /// Embree's own kernels are asked on each tree, too: which. By one rank alone only.
+    pub kernels: Option<Wanted>,
     /// Rounds of timing, after all that; `None` when times are not wanted.
     pub rounds: Option<u32>,
     /// Whether to fit costs to the times.
@@ -140,6 +144,8 @@ pub struct RecordingResult {
     pub image: Option<ImageSize>,
     /// As [`Comparison::trees`].
     pub trees: Vec<TreeResult>,
+    /// Of Embree's kernels, where there are any.
+    pub kernels: Option<AnswersOnTrees>,
     /// When it was asked for.
     pub timing: Option<Timing>,
 }
@@ -149,6 +155,8 @@ pub struct RecordingResult {
 pub struct Comparison {
     pub settings: Settings,
     pub trees: Vec<TreeFacts>,
+    /// Embree's kernels where they were asked for, or why Embree has no such scene.
+    pub kernels: Option<Result<Kernels, String>>,
     pub recordings: Vec<RecordingResult>,
 }
 
@@ -182,6 +190,8 @@ pub enum CompareError {
     Order { path: String, source: OrderError },
     #[error("{path}: no query is left to replay{why}")]
     NoQueries { path: String, why: &'static str },
+    #[error("Embree: {0}")]
+    Embree(String),
     #[error("{0}")]
     Rank(#[from] RankFailed),
 }
@@ -274,13 +284,21 @@ pub fn compare(
             result.trees.push(TreeResult { runs, overlap_run });
         }
     }
+    let mut scenes = settings.kernels.map(|wanted| EmbreeScenes::of(trees, wanted));
+    if let Some(Ok(scenes)) = &mut scenes {
+        for (recording, result) in recordings.iter().zip(&mut results) {
+            result.kernels = Some(scenes.answers(trees, recording, &settings.choice, progress)?);
+        }
+    }
     if let Some(rounds) = settings.rounds {
-        let timings = timing::time(trees, recordings, &settings, rounds)?;
+        let scenes = scenes.as_mut().and_then(|scenes| scenes.as_mut().ok());
+        let timings = timing::time(trees, recordings, &settings, rounds, scenes)?;
         for (result, timing) in results.iter_mut().zip(timings) {
             result.timing = Some(timing);
         }
     }
-    Ok(Comparison { settings, trees: facts, recordings: results })
+    let kernels = scenes.map(|scenes| scenes.map(|scenes| scenes.kernels().clone()));
+    Ok(Comparison { settings, trees: facts, kernels, recordings: results })
 }
 
 /// Replays one recording, of which at least one query has to be left.
@@ -342,6 +360,7 @@ impl RecordingResult {
             queries: recording.rays.query_count(),
             image: recording.image,
             trees: Vec::new(),
+            kernels: None,
             timing: None,
         }
     }

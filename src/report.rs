@@ -5,7 +5,9 @@ pub mod csv;
 pub mod heatmap;
 pub mod html;
 pub mod json;
+mod json_kernels;
 mod json_time;
+mod kernels;
 mod packets;
 pub mod plot;
 pub mod table;
@@ -82,6 +84,11 @@ pub(crate) fn tree_names(comparison: &Comparison) -> Vec<String> {
         if unique { (*name).to_owned() } else { format!("{}: {name}", index + 1) }
     };
     stems.iter().enumerate().map(name).collect()
+}
+
+/// 31305 as 3.13.5.
+pub(crate) fn version(number: u32) -> String {
+    format!("{}.{}.{}", number / 10_000, number / 100 % 100, number % 100)
 }
 
 /// 1234567 as 1,234,567.

@@ -83,6 +83,7 @@ fn confirm(name: &str, mesh: &Mesh, options: &[&str], borderline: u64) {
         sort: None,
         packet: None,
         profile: false,
+        kernels: None,
         rounds: None,
         fit: false,
     };

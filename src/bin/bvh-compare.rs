@@ -2,7 +2,10 @@
 
 use clap::{Parser, ValueEnum};
 use embree_trace::cli::{self, Failure, Outcome};
+use embree_trace::compare::kernels::Wanted;
 use embree_trace::compare::{self, Candidate, Comparison, Recording, Settings};
+#[cfg(feature = "embree")]
+use embree_trace::embree::Isa;
 use embree_trace::files::{FileError, MappedFile, OutputFile};
 use embree_trace::format::FileKind;
 use embree_trace::format::bvh::Bvh;
@@ -35,6 +38,7 @@ Examples:
   bvh-compare built.bvh ours.bvh casts.rays --heatmap pictures --size 640x480
   bvh-compare built.bvh ours.bvh casts.rays --packet 64 --sort direction --time
   bvh-compare built.bvh ours.bvh casts.rays --html report.html
+  bvh-compare built.bvh ours.bvh casts.rays --time --robust
   bvh-compare built.bvh ours.bvh casts.rays --fit --rounds 9
   mpirun -n 4 bvh-compare --mpi built.bvh ours.bvh casts.rays
 
@@ -112,9 +116,25 @@ struct Arguments {
     #[arg(long)]
     details: bool,
 
-    /// Also measure time: the same queries without counting on one pinned thread, trees in turn, and Embree beside them
+    /// Also measure time: the same queries without counting on one pinned thread, our traversals and Embree's kernels on each tree,
+    /// all in turn; asks Embree as --embree does
     #[arg(long)]
     time: bool,
+
+    /// Also ask Embree's own kernels on each tree, planted in a scene of its triangles, and check what they answer
+    #[cfg(feature = "embree")]
+    #[arg(long)]
+    embree: bool,
+
+    /// Instruction set of Embree's kernels: sse2, sse42, avx, avx2, avx512; without this, the best that the processor has
+    #[cfg(feature = "embree")]
+    #[arg(long, value_parser = isa)]
+    isa: Option<Isa>,
+
+    /// Ask Embree's robust kernels, as Blender's Cycles does; set where a scene stands far from the origin
+    #[cfg(feature = "embree")]
+    #[arg(long)]
+    robust: bool,
 
     /// Rounds of --time, after one that warms up
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
@@ -138,9 +158,15 @@ struct Arguments {
     size: Vec<ImageSize>,
 
     /// Share the recordings' chunks with the other processes that mpirun started; the first prints, the same as one process would
-    #[arg(long, conflicts_with_all = ["time", "fit"])]
+    #[arg(long, conflicts_with_all = ALONE)]
     mpi: bool,
 }
+
+/// What one process does by itself.
+#[cfg(feature = "embree")]
+const ALONE: [&str; 3] = ["time", "fit", "embree"];
+#[cfg(not(feature = "embree"))]
+const ALONE: [&str; 2] = ["time", "fit"];
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
@@ -154,6 +180,11 @@ fn cost(text: &str) -> Result<f64, String> {
         Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
         _ => Err("expected a number, 0 or greater".to_owned()),
     }
+}
+
+#[cfg(feature = "embree")]
+fn isa(name: &str) -> Result<Isa, String> {
+    Isa::from_name(name).ok_or_else(|| format!("expected one of {}", Isa::ALL.map(Isa::name).join(", ")))
 }
 
 fn share(text: &str) -> Result<f64, String> {
@@ -222,14 +253,19 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
         sort: arguments.sort,
         packet: arguments.packet.map(usize::from),
         profile: arguments.details || arguments.html.is_some(),
+        kernels: arguments.kernels(),
         rounds: (arguments.time || arguments.fit).then_some(arguments.rounds),
         fit: arguments.fit,
     };
     let queries: u64 = rays.iter().map(Rays::query_count).sum();
-    let steps = queries * (trees.len() * settings.traversals.len()) as u64 / ranks.count() as u64;
+    let replays = trees.len() * settings.traversals.len() + usize::from(settings.kernels.is_some());
+    let steps = queries * replays as u64 / ranks.count() as u64;
     let progress = if prints { Progress::new("replaying", steps) } else { Progress::hidden() };
     let comparison = compare::compare(&candidates, &recordings, settings, ranks, &progress)?;
     drop(progress);
+    if let Some(Err(why)) = comparison.kernels.as_ref().filter(|_| prints) {
+        eprintln!("{PROGRAM}: warning: Embree has no scene of these triangles: {why}");
+    }
 
     let mut failures = comparison.failures();
     failures.extend(arguments.fail_above.into_iter().flat_map(|limit| comparison.above(limit)));
@@ -237,6 +273,20 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
         print(arguments, &comparison, &failures)?;
     }
     Ok(if failures.is_empty() { Outcome::Good } else { Outcome::Failed })
+}
+
+impl Arguments {
+    /// Which of Embree's kernels to ask, if any.
+    #[cfg(feature = "embree")]
+    fn kernels(&self) -> Option<Wanted> {
+        let wanted = Wanted { isa: self.isa.map(Isa::name), robust: self.robust };
+        (self.embree || self.time || self.fit).then_some(wanted)
+    }
+
+    #[cfg(not(feature = "embree"))]
+    fn kernels(&self) -> Option<Wanted> {
+        None
+    }
 }
 
 /// Writes all that was asked for.

@@ -1,14 +1,13 @@
-//! How long trees take, and Embree beside them: the same queries, without counting, on one pinned thread.
+//! How long trees take under our traversals and under Embree's kernels: the same queries, without counting, on one pinned thread.
 //!
 //! Queries stay in the order of the file, but for blocks of `BLOCK` in which those of one kind, depth and purpose stand together: a *run*, the
 //! unit that is timed. All contenders take turns in every round, so that a machine that slows down slows all of them; the first round warms up
 //! and is dropped. What is reported of a time is its median over the rounds, and the least and the greatest.
 
-mod clock;
-#[cfg(feature = "embree")]
-mod embree;
+pub(super) mod clock;
 
 use super::fit::Observation;
+use super::kernels::EmbreeScenes;
 use super::{Candidate, CompareError, Recording, Settings};
 use crate::format::FormatError;
 use crate::format::rays::{MAX_CHUNK_RECORDS, Purpose, Record, Reject};
@@ -63,14 +62,26 @@ pub struct Time {
     pub observations: Vec<Observation>,
 }
 
-/// Embree's own answers to the timed queries.
+/// What Embree's kernels took; `None` where they could not be asked.
 #[derive(Clone, Debug)]
-pub struct EmbreeTime {
-    pub time: Time,
-    /// Queries for which it does not say hit or miss as recorded: filters and masks are not part of its scene here.
-    pub differing: u64,
-    /// 31305 for 3.13.5.
-    pub version: u32,
+pub struct KernelTimes {
+    /// On the trees that Embree built, as [`super::kernels::Kernels::own`].
+    pub own: Vec<Option<Time>>,
+    /// By tree, as in the comparison.
+    pub trees: Vec<Option<Time>>,
+}
+
+impl KernelTimes {
+    /// What others are relative to: the time on the first tree, or on Embree's own where that is not planted.
+    pub fn base(&self) -> Option<&Time> {
+        self.trees.first()?.as_ref().or(self.own.first()?.as_ref())
+    }
+
+    /// The least median of a part of the time among Embree's own trees.
+    pub fn best(&self, part: impl Fn(&Time) -> Option<Seconds>) -> Option<f64> {
+        let medians = self.own.iter().flatten().filter_map(|time| Some(part(time)?.median));
+        medians.min_by(f64::total_cmp)
+    }
 }
 
 /// How queries are asked, other than one by one in the order of the recording.
@@ -113,8 +124,8 @@ pub struct Timing {
     pub by_way: Vec<Vec<Vec<Time>>>,
     /// What sorting all queries took.
     pub sort: Option<Seconds>,
-    /// Without the feature `embree`, or when Embree refused the scene, `None`.
-    pub embree: Option<EmbreeTime>,
+    /// When they were asked for, and Embree has such a scene.
+    pub kernels: Option<KernelTimes>,
 }
 
 /// Timed queries, which no chunk of a file has to stay in memory for.
@@ -266,16 +277,17 @@ impl Contender<'_> {
     }
 }
 
-/// Times every tree and traversal, and Embree, over every recording, `rounds` times after one that is dropped. All prepared trees are in
+/// Times every tree and traversal, and Embree's kernels, over every recording, `rounds` times after one that is dropped. All prepared trees are in
 /// memory at once. Takes a thread of its own, which it pins.
 ///
 /// # Errors
 /// When a file is damaged.
-pub fn time(
+pub(super) fn time(
     trees: &[Candidate],
     recordings: &[Recording],
     settings: &Settings,
     rounds: u32,
+    mut scenes: Option<&mut EmbreeScenes>,
 ) -> Result<Vec<Timing>, CompareError> {
     let mut prepared = Vec::with_capacity(trees.len());
     for Candidate { path, bvh } in trees {
@@ -283,8 +295,7 @@ pub fn time(
             .map_err(|source| CompareError::Order { path: path.clone(), source })?;
         prepared.push((Prepared::new(bvh.tree, bvh.triangles, bvh.geometries), order));
     }
-    #[cfg(feature = "embree")]
-    let embree = embree::Scene::of(trees[0].bvh);
+    let own_trees = scenes.as_ref().map_or(0, |scenes| scenes.kernels().own.len());
     let ways = Way::all(settings);
     let of = |way: Way| {
         prepared.iter().flat_map(move |(prepared, order)| {
@@ -304,8 +315,7 @@ pub fn time(
             let mut sorting = Vec::new();
             let mut scratch = Scratch::default();
             let mut taken = vec![Vec::new(); contenders.len()];
-            #[cfg(feature = "embree")]
-            let mut taken_by_embree = Vec::new();
+            let mut taken_by_kernels = vec![Vec::new(); own_trees + trees.len()];
             for round in 0..=rounds {
                 for (contender, taken) in contenders.iter().zip(&mut taken) {
                     let queries = sorted.as_ref().filter(|_| contender.way.sorted).unwrap_or(&queries);
@@ -318,10 +328,11 @@ pub fn time(
                     black_box(unsorted.sorted(sort));
                     sorting.extend((round > 0).then_some(clock::thread_seconds() - start));
                 }
-                #[cfg(feature = "embree")]
-                if let Some(scene) = &embree {
-                    let seconds = scene.round(&queries);
-                    taken_by_embree.extend(seconds.filter(|_| round > 0));
+                if let Some(scenes) = &mut scenes {
+                    for (number, taken) in taken_by_kernels.iter_mut().enumerate() {
+                        let runs = queries.runs.iter().map(|(_, range)| queries.run(range));
+                        taken.extend(scenes.round(number, runs).filter(|_| round > 0));
+                    }
                 }
             }
             let mut times: Vec<Time> = taken.iter().map(|taken| queries.time(taken)).collect();
@@ -342,10 +353,14 @@ pub fn time(
                 ways: ways.clone(),
                 by_way: by_way.chunks(settings.traversals.len()).map(<[Vec<Time>]>::to_vec).collect(),
                 sort: settings.sort.map(|_| Seconds::of(sorting)),
-                #[cfg(feature = "embree")]
-                embree: embree.as_ref().and_then(|scene| scene.time(&queries, &taken_by_embree)),
-                #[cfg(not(feature = "embree"))]
-                embree: None,
+                kernels: scenes.is_some().then(|| {
+                    let time = |taken: &Vec<Vec<f64>>| (!taken.is_empty()).then(|| queries.time(taken));
+                    let (own, trees) = taken_by_kernels.split_at(own_trees);
+                    KernelTimes {
+                        own: own.iter().map(time).collect(),
+                        trees: trees.iter().map(time).collect(),
+                    }
+                }),
             });
         }
         Ok(timings)

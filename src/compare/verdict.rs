@@ -1,7 +1,8 @@
 //! What a comparison has against its trees: wrong answers, broken identities, and costs above a limit.
 
+use super::kernels::Answers;
 use super::{Comparison, RecordingResult, Run, kind_name};
-use crate::format::rays::{NO_DEPTH, NO_PATH, Purpose, Record};
+use crate::format::rays::{NO_DEPTH, NO_PATH, NO_TRIANGLE, Purpose, Record};
 use crate::replay::Mismatch;
 use crate::replay::pixels::ImageSize;
 use std::fmt::Write;
@@ -24,6 +25,15 @@ impl Comparison {
                         tree.path
                     ));
                 }
+            }
+        }
+        for recording in &self.recordings {
+            let answers = recording.kernels.iter().flat_map(|kernels| &kernels.trees);
+            for (tree, answers) in self.trees.iter().zip(answers) {
+                let Some(Answers { mismatches, mismatch: Some(first), .. }) = answers else { continue };
+                let name = format!("Embree's kernels{}", self.over(recording));
+                let told = describe(first, recording.image);
+                lines.push(format!("{}: {name}: {mismatches} wrong answers, first {told}", tree.path));
             }
         }
         lines
@@ -71,6 +81,8 @@ fn describe(mismatch: &Mismatch, image: Option<ImageSize>) -> String {
     let found = match (found, record.is_occlusion()) {
         (None, true) => "not occluded".to_owned(),
         (None, false) => "a miss".to_owned(),
+        // Embree does not say by what.
+        (Some(hit), true) if hit.triangle == NO_TRIANGLE => "occluded".to_owned(),
         (Some(hit), true) => format!("occluded by triangle {} at t {}", hit.triangle, hit.t),
         (Some(hit), false) => format!("triangle {} at t {}", hit.triangle, hit.t),
     };

@@ -65,19 +65,21 @@ pub fn render(comparison: &Comparison, circumstances: &Circumstances, failures: 
 }
 
 /// The parts of a recording's results: the end of the anchor, and the title.
-const PARTS: [(&str, &str); 6] = [
+const PARTS: [(&str, &str); 7] = [
     ("cost", "Cost per query"),
     ("time", "Time per query"),
+    ("embree", "Embree's kernels"),
     ("groups", "By kind, depth and purpose"),
     ("distribution", "Distribution"),
     ("levels", "Where in the tree"),
     ("maps", "Where in the image"),
 ];
 
-fn shown(recording: &RecordingResult, part: &str) -> bool {
+fn shown(comparison: &Comparison, recording: &RecordingResult, part: &str) -> bool {
     match part {
         "levels" => recording.trees[0].runs[0].outcome.profile.is_some(),
         "time" => recording.timing.is_some(),
+        "embree" => comparison.kernels.is_some(),
         _ => true,
     }
 }
@@ -91,7 +93,7 @@ fn contents(comparison: &Comparison) -> Markup {
                     li {
                         a href={ "#r" (number + 1) } { (plots::recording_name(recording)) }
                         ul {
-                            @for (part, title) in PARTS.iter().filter(|(part, _)| shown(recording, part)) {
+                            @for (part, title) in PARTS.iter().filter(|(part, _)| shown(comparison, recording, part)) {
                                 li { a href={ "#r" (number + 1) "-" (part) } { (title) } }
                             }
                         }
@@ -174,6 +176,10 @@ fn results(comparison: &Comparison, recording: &RecordingResult, number: usize, 
                 (part("time"))
                 (times::section(comparison, recording, timing))
             }
+            @if shown(comparison, recording, "embree") {
+                (part("embree"))
+                (times::embrees(comparison, recording))
+            }
             (part("groups"))
             (chart::legend(names))
             div.charts { @for run in orders.clone() { (plots::group_bars(comparison, recording, names, run)) } }
@@ -181,7 +187,7 @@ fn results(comparison: &Comparison, recording: &RecordingResult, number: usize, 
             (part("distribution"))
             (chart::legend(names))
             div.charts { @for run in orders.clone() { (plots::histogram(comparison, recording, names, run)) } }
-            @if shown(recording, "levels") {
+            @if shown(comparison, recording, "levels") {
                 (part("levels"))
                 (chart::legend(names))
                 div.charts { @for run in orders.clone() { @if let Some(levels) = plots::levels(comparison, recording, names, run) { (levels) } } }

@@ -2,6 +2,7 @@
 //!
 //! Of several recordings, `recordings` holds for each what the whole would be for it alone.
 
+use super::json_kernels::{EmbreeJson, TreeTimeJson};
 use super::json_time::{TimeJson, Timed};
 use super::time::way_key;
 use super::{gamma_quantile, mean};
@@ -29,6 +30,8 @@ struct Report<'a> {
     trees: Vec<Tree<'a>>,
     #[serde(flatten)]
     timing: Option<Timed>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    embree: Option<EmbreeJson>,
     #[serde(skip_serializing_if = "Option::is_none")]
     failures: Option<&'a [String]>,
 }
@@ -60,6 +63,9 @@ struct Tree<'a> {
     gamma: f64,
     gamma_ratio: f64,
     traversals: BTreeMap<&'static str, Traversal>,
+    /// Under others' kernels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time: Option<TreeTimeJson>,
 }
 
 #[derive(Serialize)]
@@ -166,6 +172,9 @@ fn report_of<'a>(
     let first = &recording.trees[0];
     let trees = comparison.trees.iter().zip(&recording.trees);
     let mut trees: Vec<Tree> = trees.map(|(facts, tree)| tree_of(costs, facts, tree, first)).collect();
+    for (number, tree) in trees.iter_mut().enumerate() {
+        tree.time = TreeTimeJson::of(comparison, recording, number);
+    }
     if let Some(timing) = &recording.timing {
         for ((tree, times), by_way) in trees.iter_mut().zip(&timing.trees).zip(&timing.by_way) {
             for ((traversal, time), others) in comparison.settings.traversals.iter().zip(times).zip(by_way) {
@@ -185,6 +194,7 @@ fn report_of<'a>(
         sort: sort.map(Sort::key),
         trees,
         timing: Timed::of(comparison, recording),
+        embree: EmbreeJson::of(comparison, recording),
         failures,
     }
 }
@@ -219,6 +229,7 @@ fn tree_of<'a>(costs: &Costs, facts: &'a TreeFacts, tree: &TreeResult, first: &T
             .zip(&first.runs)
             .map(|(run, first)| (run.traversal.key(), traversal_of(costs, run, first)))
             .collect(),
+        time: None,
     }
 }
 

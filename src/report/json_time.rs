@@ -11,7 +11,6 @@ use std::collections::BTreeMap;
 #[derive(Serialize)]
 pub(super) struct Timed {
     timing: Method,
-    embree: Option<Embree>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     fit: Vec<FitJson>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -26,15 +25,6 @@ struct Method {
     /// To sort all queries, where they were.
     #[serde(skip_serializing_if = "Option::is_none")]
     sort_seconds: Option<f64>,
-}
-
-#[derive(Serialize)]
-struct Embree {
-    version: u32,
-    /// Queries that it answers otherwise than recorded.
-    differing: u64,
-    #[serde(flatten)]
-    time: TimeJson,
 }
 
 /// Seconds of processor time for all timed queries.
@@ -93,11 +83,6 @@ impl Timed {
                 processor: timing.processor,
                 sort_seconds: timing.sort.map(|sort| sort.median),
             },
-            embree: timing.embree.as_ref().map(|embree| Embree {
-                version: embree.version,
-                differing: embree.differing,
-                time: TimeJson::of(&embree.time),
-            }),
             fit: fitted(comparison, recording).iter().map(FitJson::of).collect(),
             ranking: rankings(comparison, recording).into_iter().map(RankingJson::of).collect(),
         })

@@ -1,6 +1,6 @@
 //! A comparison for people: a summary, the trees, and where the queries' costs come from, each within 100 columns.
 
-use super::{grouped, groups, mean, packets, time, tree_names, unjudged};
+use super::{grouped, groups, kernels, mean, packets, time, tree_names, unjudged};
 use crate::compare::{Comparison, RecordingResult, explained, relative};
 use crate::traverse::Counts;
 use comfy_table::presets::UTF8_BORDERS_ONLY;
@@ -44,6 +44,7 @@ fn block(comparison: &Comparison, recording: &RecordingResult, names: &[String],
             &format!("\n{}\n{}\n", packets::title(comparison, size), packets(comparison, recording, names));
     }
     text += &times(comparison, recording);
+    text += &embrees(comparison, recording);
     for (index, traversal) in comparison.settings.traversals.iter().enumerate() {
         if let Some(levels) = levels(recording, names, index).filter(|_| details) {
             text += &format!("\nBy level of the tree, per query: {}\n{levels}\n", traversal.name());
@@ -73,18 +74,21 @@ fn packets(comparison: &Comparison, recording: &RecordingResult, names: &[String
 /// Measured times, and what was fitted to them; empty when nothing was timed.
 fn times(comparison: &Comparison, recording: &RecordingResult) -> String {
     let Some(timing) = &recording.timing else { return String::new() };
-    let purposes = time::purposes(timing);
-    let header = [&["Tree", "Order", "ns", "least", "greatest", "ratio"][..], &purposes].concat();
+    let groups = time::groups(timing);
+    let header = [&["Tree", "Order", "ns", "ratio"][..], &groups].concat();
     let row = |row: time::TimeRow| {
         let mut cells = vec![shortened(row.name), row.order];
-        cells.extend([row.median, row.least, row.greatest].map(|ns| format!("{ns:.1}")));
-        cells.push(format!("{:.3}", row.ratio));
-        cells.extend(row.by_purpose.iter().map(|ns| format!("{ns:.1}")));
+        cells.push(time::shown(row.total.map(|total| total.median)));
+        cells.push(row.ratio.map_or("—".to_owned(), |ratio| format!("{ratio:.3}")));
+        cells.extend(row.by_group.into_iter().map(time::shown));
         cells
     };
-    let rows = time::rows(comparison, recording).into_iter().map(row).collect();
-    let mut text =
-        format!("\nTime per query\n{}\n{}\n", table(&header, 2, rows), time::wrapped(&time::method(timing)));
+    let timed = time::rows(comparison, recording);
+    let spreads = timed.iter().filter_map(|row| Some(row.total?.spread()));
+    let method =
+        format!("{} At most {:.1}% apart.", time::method(timing), 100.0 * spreads.fold(0.0, f64::max));
+    let rows = timed.into_iter().map(row).collect();
+    let mut text = format!("\nTime per query, ns\n{}\n{}\n", table(&header, 2, rows), time::wrapped(&method));
     let fits: Vec<Vec<String>> = explained::fitted(comparison, recording).iter().map(fitted).collect();
     if !fits.is_empty() {
         let header = ["Order", "trees", "groups", "query", "visit", "box", "primitive", "c_P/c_I", "R²"];
@@ -102,6 +106,20 @@ fn times(comparison: &Comparison, recording: &RecordingResult) -> String {
         let rows = rankings.iter().map(row).collect();
         text += &format!("\nHow they rank the trees by time, Kendall's τ\n{}\n", table(&header, 1, rows));
     }
+    text
+}
+
+/// Embree's kernels on each tree; empty when they were not asked.
+fn embrees(comparison: &Comparison, recording: &RecordingResult) -> String {
+    let Some(kernels::Shown { header, mut rows, notes }) = kernels::shown(comparison, recording) else {
+        return String::new();
+    };
+    rows.iter_mut().for_each(|row| row[0] = shortened(std::mem::take(&mut row[0])));
+    let mut text = "\nEmbree's kernels on each tree\n".to_owned();
+    if !rows.is_empty() {
+        text += &format!("{}\n", table(&header, 1, rows));
+    }
+    notes.iter().for_each(|note| text += &format!("{}\n", time::wrapped(note)));
     text
 }
 

@@ -1,66 +1,104 @@
-//! Measured times as rows that every report shows: trees under each traversal, and Embree.
+//! Measured times as rows that every report shows: trees under each of our traversals and under Embree's kernels.
 
-use super::tree_names;
+use super::{tree_names, version};
 use crate::compare::fit::Estimate;
 use crate::compare::timing::{Seconds, Time, Timing, Way};
-use crate::compare::{Comparison, RecordingResult};
+use crate::compare::{Comparison, RecordingResult, relative};
+use crate::format::rays::kind::OCCLUSION;
 
-/// One contender's times, in nanoseconds per query.
+/// One contender's times, in nanoseconds per query; `None` where it could not be asked.
 pub(crate) struct TimeRow {
     pub name: String,
     pub order: String,
+    pub total: Option<Nanoseconds>,
+    /// Relative to the first tree under the same traversal, its queries one by one; under Embree's kernels, to the first tree there,
+    /// or to Embree's own where that is not planted.
+    pub ratio: Option<f64>,
+    /// As [`groups`], in the same order.
+    pub by_group: Vec<Option<f64>>,
+}
+
+/// Per query, over the rounds.
+#[derive(Clone, Copy)]
+pub(crate) struct Nanoseconds {
     pub median: f64,
     pub least: f64,
     pub greatest: f64,
-    /// Relative to the first tree under the same traversal, its queries one by one; Embree to the first of all.
-    pub ratio: f64,
-    /// As [`purposes`], in the same order.
-    pub by_purpose: Vec<f64>,
 }
 
-/// Purposes that were timed, by name.
-pub(crate) fn purposes(timing: &Timing) -> Vec<&'static str> {
-    timing.by_purpose.keys().map(|purpose| purpose.name()).collect()
+impl Nanoseconds {
+    pub fn of(seconds: &Seconds, queries: u64) -> Nanoseconds {
+        let Seconds { median, least, greatest } = *seconds;
+        let [median, least, greatest] =
+            [median, least, greatest].map(|seconds| seconds * 1e9 / queries.max(1) as f64);
+        Nanoseconds { median, least, greatest }
+    }
+
+    /// Between the greatest and the least, relative to the median.
+    pub fn spread(&self) -> f64 {
+        if self.median > 0.0 { (self.greatest - self.least) / self.median } else { 0.0 }
+    }
 }
 
-/// A row per traversal, tree and way of asking, then Embree's; none when nothing was timed.
+/// Kinds and purposes that were timed, by name.
+pub(crate) fn groups(timing: &Timing) -> Vec<&'static str> {
+    let kinds = timing.by_kind.keys().map(|&kind| if kind == OCCLUSION { "occlusion" } else { "closest" });
+    kinds.chain(timing.by_purpose.keys().map(|purpose| purpose.name())).collect()
+}
+
+/// A row per traversal, tree and way of asking, then for Embree's kernels on each tree and on their own; none when nothing was timed.
 pub(crate) fn rows(comparison: &Comparison, recording: &RecordingResult) -> Vec<TimeRow> {
     let Some(timing) = &recording.timing else { return Vec::new() };
     let names = tree_names(comparison);
     let mut rows = Vec::new();
     for (run, traversal) in comparison.settings.traversals.iter().enumerate() {
-        let first = &timing.trees[0][run];
+        let first = Some(&timing.trees[0][run]);
         for ((tree, by_way), name) in timing.trees.iter().zip(&timing.by_way).zip(&names) {
-            rows.push(row(timing, name.clone(), traversal.name().to_owned(), &tree[run], first));
+            rows.push(row(timing, name.clone(), traversal.name().to_owned(), Some(&tree[run]), first));
             for (way, time) in timing.ways.iter().zip(&by_way[run]) {
                 let order = format!("{}, {}", traversal.name(), way_name(way));
-                rows.push(row(timing, name.clone(), order, time, first));
+                rows.push(row(timing, name.clone(), order, Some(time), first));
             }
         }
     }
-    if let Some(embree) = &timing.embree {
-        rows.push(row(timing, "Embree".to_owned(), "its own".to_owned(), &embree.time, &timing.trees[0][0]));
+    if let (Some(times), Some(Ok(kernels))) = (&timing.kernels, &comparison.kernels) {
+        let base = times.base();
+        for (time, name) in times.trees.iter().zip(names) {
+            rows.push(row(timing, name, "Embree".to_owned(), time.as_ref(), base));
+        }
+        let library = format!("Embree {}", version(kernels.version));
+        for (time, quality) in times.own.iter().zip(&kernels.own) {
+            let order = format!("{} {quality}", kernels.isa).trim_start().to_owned();
+            rows.push(row(timing, library.clone(), order, time.as_ref(), base));
+        }
     }
     rows
 }
 
-fn row(timing: &Timing, name: String, order: String, time: &Time, first: &Time) -> TimeRow {
-    let per_query = |seconds: f64, queries: u64| seconds * 1e9 / queries.max(1) as f64;
-    let Seconds { median, least, greatest } = time.total;
-    let [median, least, greatest] =
-        [median, least, greatest].map(|seconds| per_query(seconds, timing.queries));
-    let of_purpose = |(purpose, queries): (&_, &u64)| {
-        per_query(time.by_purpose.get(purpose).map_or(0.0, |seconds| seconds.median), *queries)
+fn row(timing: &Timing, name: String, order: String, time: Option<&Time>, first: Option<&Time>) -> TimeRow {
+    let total = |time: &Time| Nanoseconds::of(&time.total, timing.queries);
+    let ratio = |time: &Time| Some(relative(time.total.median, first?.total.median));
+    let of_kind = |(kind, queries): (&u8, &u64)| {
+        let seconds = time?.by_kind.get(kind)?;
+        Some(Nanoseconds::of(seconds, *queries).median)
     };
+    let of_purpose = |(purpose, queries): (&_, &u64)| {
+        let seconds = time?.by_purpose.get(purpose)?;
+        Some(Nanoseconds::of(seconds, *queries).median)
+    };
+    let kinds = timing.by_kind.iter().map(of_kind);
     TimeRow {
         name,
         order,
-        median,
-        least,
-        greatest,
-        ratio: crate::compare::relative(time.total.median, first.total.median),
-        by_purpose: timing.by_purpose.iter().map(of_purpose).collect(),
+        total: time.map(total),
+        ratio: time.and_then(ratio),
+        by_group: kinds.chain(timing.by_purpose.iter().map(of_purpose)).collect(),
     }
+}
+
+/// A number of nanoseconds for people.
+pub(crate) fn shown(ns: Option<f64>) -> String {
+    ns.map_or("—".to_owned(), |ns| format!("{ns:.1}"))
 }
 
 /// A way of asking, for people.
@@ -84,19 +122,12 @@ pub(crate) fn method(timing: &Timing) -> String {
         Some(number) => format!("one thread on processor {number}"),
         None => "one thread that could not be pinned".to_owned(),
     };
-    let embree = match &timing.embree {
-        Some(embree) if embree.differing > 0 => format!(
-            " Embree, without the recording's filters and masks, answers {} queries otherwise.",
-            embree.differing
-        ),
-        _ => String::new(),
-    };
     let sort = timing.sort.map_or(String::new(), |sort| {
         format!(" Sorting took {:.1} ns per query.", sort.median * 1e9 / timing.queries.max(1) as f64)
     });
     format!(
-        "Processor time of {processor}, {} queries without counting, all contenders in turn; median, least and greatest of \
-         {} rounds after one that warms up.{sort}{embree}",
+        "Processor time of {processor}, {} queries without counting, all contenders in turn; medians of {} rounds after one that \
+         warms up.{sort}",
         super::grouped(timing.queries),
         timing.rounds
     )

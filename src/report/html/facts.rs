@@ -1,7 +1,7 @@
 //! What was compared: files, settings, and where and when; and the words that the page uses.
 
 use super::super::circumstances::Circumstances;
-use super::super::{grouped, tree_names};
+use super::super::{grouped, tree_names, version};
 use super::tables::table;
 use crate::compare::Comparison;
 use maud::{Markup, html};
@@ -59,11 +59,6 @@ fn files(comparison: &Comparison) -> Markup {
         }
     };
     table("Files", &["", "path", "written by", "scene", "holds"], 3, body)
-}
-
-/// 31305 as 3.13.5.
-fn version(number: u32) -> String {
-    format!("{}.{}.{}", number / 10_000, number / 100 % 100, number % 100)
 }
 
 /// JSON on several lines; what is not JSON as it stands.

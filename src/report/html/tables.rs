@@ -17,6 +17,12 @@ fn meaning(column: &str) -> Option<&'static str> {
         "µs" => "Per query on one thread, with counting",
         "wrong" => "Answers that are not the recorded one, and cannot be right",
         "borderline" => "Queries that graze an edge or a plane, so that two answers are right",
+        "/ medium" => "Time relative to Embree's own tree of medium quality",
+        "/ best" => "Time relative to the better of Embree's own trees",
+        "flipped" => "A hit on this tree and a miss on Embree's own, or the reverse, singly and in packets",
+        "apart" => {
+            "Closest hits whose t is not within 1e-4 of that on Embree's own tree, singly and in packets"
+        }
         "decisions" => "Boxes for which it was decided whether a packet enters them, per query",
         "early hit" => "The first and the last eight active rays enter: all are taken to",
         "early miss" => "No ray can enter, by interval arithmetic",

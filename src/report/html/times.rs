@@ -1,23 +1,27 @@
 //! Measured times in a page, what was fitted to them, and how measures rank the trees.
 
-use super::super::time;
+use super::super::time::Nanoseconds;
+use super::super::{kernels, time};
 use super::tables::{ratio, table};
 use crate::compare::timing::Timing;
 use crate::compare::{Comparison, RecordingResult, explained};
 use maud::{Markup, html};
 
+/// Columns of a time.
+const PARTS: [fn(Nanoseconds) -> f64; 3] = [|ns| ns.median, |ns| ns.least, |ns| ns.greatest];
+
 pub fn section(comparison: &Comparison, recording: &RecordingResult, timing: &Timing) -> Markup {
-    let purposes = time::purposes(timing);
-    let header = [&["Order", "Tree", "ns", "least", "greatest", "ratio"][..], &purposes].concat();
+    let groups = time::groups(timing);
+    let header = [&["Order", "Tree", "ns", "least", "greatest", "ratio"][..], &groups].concat();
     let rows = html! {
         tbody {
             @for row in time::rows(comparison, recording) {
                 tr {
                     th scope="row" { (row.order) }
                     th scope="row" { (row.name) }
-                    @for ns in [row.median, row.least, row.greatest] { td { (format!("{ns:.1}")) } }
-                    td { (ratio(row.ratio)) }
-                    @for ns in row.by_purpose { td { (format!("{ns:.1}")) } }
+                    @for part in PARTS { td { (time::shown(row.total.map(part))) } }
+                    td { @if let Some(value) = row.ratio { (ratio(value)) } @else { "—" } }
+                    @for ns in row.by_group { td { (time::shown(ns)) } }
                 }
             }
         }
@@ -27,6 +31,28 @@ pub fn section(comparison: &Comparison, recording: &RecordingResult, timing: &Ti
         p.soft { (time::method(timing)) }
         (fits(comparison, recording))
         (rankings(comparison, recording))
+    }
+}
+
+/// Embree's kernels on each tree.
+pub fn embrees(comparison: &Comparison, recording: &RecordingResult) -> Markup {
+    let Some(kernels::Shown { header, rows, notes }) = kernels::shown(comparison, recording) else {
+        return html! {};
+    };
+    let body = html! {
+        tbody {
+            @for row in &rows {
+                tr {
+                    @for (column, cell) in row.iter().enumerate() {
+                        @if column == 0 { th scope="row" { (cell) } } @else { td { (cell) } }
+                    }
+                }
+            }
+        }
+    };
+    html! {
+        @if !rows.is_empty() { (table("Embree's kernels on each tree", &header, 1, body)) }
+        @for note in &notes { p.soft { (note) } }
     }
 }
 

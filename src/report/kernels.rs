@@ -1,0 +1,121 @@
+//! Embree's kernels on each tree, as a table for people: time relative to Embree's own trees, and
+//! what the answers are worth.
+
+use super::{grouped, tree_names, version};
+use crate::compare::kernels::{Answers, Kernels};
+use crate::compare::timing::{KernelTimes, Time, Timing};
+use crate::compare::{Comparison, RecordingResult, relative};
+use crate::format::rays::kind::OCCLUSION;
+
+/// What every cell shows of a tree that is not planted.
+const NOTHING: &str = "—";
+
+/// A table whose first column is text, and what there is to say below it.
+pub(crate) struct Shown {
+    pub header: Vec<&'static str>,
+    pub rows: Vec<Vec<String>>,
+    pub notes: Vec<String>,
+}
+
+/// `None` where Embree was not asked.
+pub(crate) fn shown(comparison: &Comparison, recording: &RecordingResult) -> Option<Shown> {
+    let kernels = match comparison.kernels.as_ref()? {
+        Ok(kernels) => kernels,
+        Err(why) => {
+            let notes = vec![format!("Embree has no scene of these triangles: {why}.")];
+            return Some(Shown { header: Vec::new(), rows: Vec::new(), notes });
+        }
+    };
+    let answers = recording.kernels.as_ref()?;
+    let times = recording.timing.as_ref().and_then(|timing| Some((timing, timing.kernels.as_ref()?)));
+    let mut header = vec!["Tree"];
+    if let Some((timing, times)) = times {
+        header.push("/ medium");
+        header.extend((times.own.len() > 1).then_some("/ best"));
+        header.extend(kinds(timing));
+    }
+    header.extend(["wrong", "borderline", "flipped", "apart"]);
+    let row = |name: String, time: Option<&Time>, answers: Option<&Answers>| {
+        let mut cells = vec![name];
+        if let Some((timing, times)) = times {
+            cells.extend(ratios(timing, times, time));
+        }
+        cells.extend(judged(answers));
+        cells
+    };
+    let mut rows = Vec::new();
+    for (tree, (name, answers)) in tree_names(comparison).into_iter().zip(&answers.trees).enumerate() {
+        let time = times.and_then(|(_, times)| times.trees[tree].as_ref());
+        rows.push(row(name, time, answers.as_ref()));
+    }
+    for (number, quality) in kernels.own.iter().enumerate() {
+        let time = times.and_then(|(_, times)| times.own[number].as_ref());
+        // Only those of the scene in which trees are planted are asked for.
+        rows.push(row(format!("Embree {quality}"), time, (number == 0).then_some(&answers.own)));
+    }
+    Some(Shown { header, rows, notes: notes(comparison, kernels, &answers.own) })
+}
+
+/// Columns of the kinds of queries.
+fn kinds(timing: &Timing) -> impl Iterator<Item = &'static str> {
+    timing.by_kind.keys().map(|&kind| if kind == OCCLUSION { "occlusion" } else { "closest" })
+}
+
+/// Time relative to Embree's own trees: of medium quality, the better, and that of each kind of query
+/// to medium quality.
+fn ratios(timing: &Timing, times: &KernelTimes, time: Option<&Time>) -> Vec<String> {
+    let medium = times.own.first().and_then(Option::as_ref);
+    let shown = |ratio: Option<f64>| ratio.map_or(NOTHING.to_owned(), |ratio| format!("{ratio:.3}"));
+    let to = |median: Option<f64>| Some(relative(time?.total.median, median?));
+    let mut cells = vec![shown(to(medium.map(|medium| medium.total.median)))];
+    if times.own.len() > 1 {
+        cells.push(shown(to(times.best(|time| Some(time.total)))));
+    }
+    for kind in timing.by_kind.keys() {
+        let median = |time: Option<&Time>| Some(time?.by_kind.get(kind)?.median);
+        let ratio = median(time).zip(median(medium)).map(|(median, own)| relative(median, own));
+        cells.push(shown(ratio));
+    }
+    cells
+}
+
+fn judged(answers: Option<&Answers>) -> [String; 4] {
+    let Some(Answers { mismatches, borderline, singly, in_packets, .. }) = answers else {
+        return std::array::from_fn(|_| NOTHING.to_owned());
+    };
+    let flipped = singly.flipped + in_packets.flipped;
+    let apart = singly.apart + in_packets.apart;
+    [*mismatches, *borderline, flipped, apart].map(grouped)
+}
+
+fn notes(comparison: &Comparison, kernels: &Kernels, own: &Answers) -> Vec<String> {
+    let mut notes: Vec<String> = comparison
+        .trees
+        .iter()
+        .zip(&kernels.trees)
+        .filter_map(|(tree, planted)| {
+            Some(format!("{}: not planted: {}.", tree.path, planted.as_ref().err()?))
+        })
+        .collect();
+    notes.push(format!(
+        "{}: its own trees, and each of these planted in the scene of medium quality. Answers to {} queries; flipped and apart: those, \
+         singly and in packets, that are not Embree's on its own tree (a hit for a miss, or t beyond 1e-4).",
+        name(kernels),
+        grouped(own.queries)
+    ));
+    notes.extend((own.unjudged > 0).then(|| {
+        format!(
+            "Not judged: {} of them, in which a filter of the program's had a say, or that hit what moves or is no triangle.",
+            grouped(own.unjudged)
+        )
+    }));
+    notes
+}
+
+/// What is asked.
+fn name(kernels: &Kernels) -> String {
+    let Kernels { version: number, isa, structure, robust, .. } = kernels;
+    let robust = if *robust { "robust" } else { "" };
+    let words = [isa, structure.as_str(), robust].into_iter().filter(|word| !word.is_empty());
+    format!("Embree {}, {}", version(*number), words.collect::<Vec<_>>().join(", "))
+}
