@@ -10,7 +10,7 @@ mod build;
 pub mod outputs;
 pub mod report;
 
-use crate::files::FileError;
+use crate::files::{self, FileError};
 use crate::format::FormatError;
 use crate::format::rays::Codec;
 use crate::progress::Progress;
@@ -24,7 +24,7 @@ use crate::training::TrainingError;
 use build::Building;
 use outputs::Outputs;
 use report::{Report, Round};
-use std::fs;
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use thiserror::Error;
@@ -76,6 +76,8 @@ pub enum TuneError {
 
 /// Where everything but the trees is kept, below their directory.
 const KEPT: &str = "tune";
+/// What the program says, there.
+const SAID: &str = "said.txt";
 
 /// Runs the program 2 + 2 · rounds times.
 ///
@@ -84,12 +86,14 @@ const KEPT: &str = "tune";
 /// written.
 pub fn tune(options: &Options) -> Result<Report, TuneError> {
     let kept = options.trees.join(KEPT);
-    if kept.exists() {
-        // Of the last time.
+    let said = kept.join(SAID);
+    if said.exists() {
+        // Of the last time. Somebody else's directory of this name has no such file.
         fs::remove_dir_all(&kept).map_err(|error| FileError::new(&kept, "remove", error))?;
     }
-    fs::create_dir_all(&kept).map_err(|error| FileError::new(&kept, "create the directory", error))?;
-    let said = kept.join("said.txt");
+    files::create_empty_directory(&kept)?;
+    // From now on it is ours.
+    File::create(&said).map_err(|error| FileError::new(&said, "create", error))?;
     let program = Program { said: Some(said.clone()), ..options.program.clone() };
     let mut outputs = Outputs::new(&options.outputs, &kept.join("outputs"));
     let progress = Progress::new("tuning", u64::from(options.rounds) * 2 + 3);

@@ -861,6 +861,16 @@ fn what_cannot_be_tuned_is_told() {
             said(&output)
         );
     }
+    // A directory that is not ours is left as it is; that of the last time is not.
+    let directory = tempfile::tempdir().unwrap();
+    let other = directory.path().join("trees/tune/precious");
+    std::fs::create_dir_all(other.parent().unwrap()).unwrap();
+    std::fs::write(&other, "precious").unwrap();
+    let output = tune(directory.path(), &[], &format!("{host} plain"));
+    assert!(output.status.code() == Some(2) && other.exists(), "{}", said(&output));
+    std::fs::rename(&other, directory.path().join("trees/tune/said.txt")).unwrap();
+    let output = tune(directory.path(), &[], &format!("{host} plain"));
+    assert!(output.status.success(), "{}", said(&output));
     for wrong in [["--rounds", "0"], ["--budget", "-1"], ["--queries", "0"]] {
         let directory = tempfile::tempdir().unwrap();
         let output = tune(directory.path(), &wrong, "true");
