@@ -25,7 +25,8 @@ pub const APART: f64 = 1e-4;
 pub struct Wanted {
     /// Name of an instruction set; `None` is the best that the processor has.
     pub isa: Option<&'static str>,
-    /// Embree's robust kernels; without this, where a scene stands too far from the origin for others.
+    /// Embree's robust kernels; without this, where a scene stands too far from the origin for
+    /// others.
     pub robust: bool,
 }
 

@@ -98,14 +98,16 @@ fn notes(comparison: &Comparison, kernels: &Kernels, own: &Answers) -> Vec<Strin
         })
         .collect();
     notes.push(format!(
-        "{}: its own trees, and each of these planted in the scene of medium quality. Answers to {} queries; flipped and apart: those, \
-         singly and in packets, that are not Embree's on its own tree (a hit for a miss, or t beyond 1e-4).",
+        "{}: its own trees, and each of these planted in the scene of medium quality. Answers to {} \
+         queries; flipped and apart: those, singly and in packets, that are not Embree's on its own \
+         tree (a hit for a miss, or t beyond 1e-4).",
         name(kernels),
         grouped(own.queries)
     ));
     notes.extend((own.unjudged > 0).then(|| {
         format!(
-            "Not judged: {} of them, in which a filter of the program's had a say, or that hit what moves or is no triangle.",
+            "Not judged: {} of them, in which a filter of the program's had a say, or that hit what \
+             moves or is no triangle.",
             grouped(own.unjudged)
         )
     }));

@@ -23,7 +23,8 @@ fn on(report: &Value, tree: usize) -> &Value {
     &report["trees"][tree]["time"]["embree"]
 }
 
-/// Whether every answer of a planted tree that can be judged is brute force's, and, where all can be, Embree's on its own tree.
+/// Whether every answer of a planted tree that can be judged is brute force's, and, where all can
+/// be, Embree's on its own tree.
 fn assert_right(answers: &Value, queries: u64, filtered: u64) {
     assert_eq!(number(&answers["queries"]), queries, "{answers}");
     assert_eq!(number(&answers["mismatches"]), 0, "{answers}");

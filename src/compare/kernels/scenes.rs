@@ -19,7 +19,8 @@ use std::mem::take;
 /// Queries that a thread asks at a time.
 const PIECE: usize = 1024;
 
-/// Everything that can be asked, by number: Embree on its own trees, then on each tree of the comparison.
+/// Everything that can be asked, by number: Embree on its own trees, then on each tree of the
+/// comparison.
 pub struct EmbreeScenes {
     kernels: Kernels,
     medium: Scene,
