@@ -4,7 +4,8 @@
 
 mod generate;
 
-use crate::files::signals;
+use crate::cost::Costs;
+use crate::files::{MappedFile, signals};
 use crate::ranks::{self, RankFailed, Ranks};
 use clap::{Command, Parser, ValueEnum};
 use std::ffi::OsString;
@@ -61,6 +62,16 @@ impl<E: std::error::Error + 'static> From<E> for Failure {
         let elsewhere = sources.filter_map(|error| error.downcast_ref::<RankFailed>()).next().cloned();
         Failure { line: error.to_string(), broken_pipe, elsewhere }
     }
+}
+
+/// Reads a file of costs ([`Costs::parse`]).
+///
+/// # Errors
+/// When it cannot be opened, or has no costs that can be used.
+pub fn costs(path: &Path) -> Result<Costs, Failure> {
+    let bytes = MappedFile::open(path)?;
+    let text = std::str::from_utf8(&bytes).map_err(|error| Failure::in_file(path, error))?;
+    Costs::parse(text).map_err(|error| Failure::in_file(path, error))
 }
 
 /// Parses a command line. Help and version go to the standard output, and the program ends well; what cannot be parsed ends it with one line

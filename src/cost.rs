@@ -7,8 +7,10 @@
 //! The default constants are the same on every machine, so that the same input gives the same tree. Those of eight children a node are of a study
 //! of Embree's kernels on some 35 planted trees for each of six scenes (one Zen 5 core, recordings that no tree was made from):
 //! time = query + 6.1 ns · visits + 7.7 · leaf visits + 2.0 · blocks for closest hits (R² .84 within a scene), 6.1, 6.2 and 2.9 for occlusion
-//! (.92). Embree's kernels follow narrower trees in the same nodes, so that a visit costs the same there. What was measured on another machine is
-//! read from a file ([`Costs::parse`]).
+//! (.92). Embree's kernels follow narrower trees in the same nodes, so that a visit costs the same there. A miss of the second level, 1 MB, costs
+//! as much as a visit: on another machine (a busy EPYC, 19 planted trees of sponza and 9 of conference) that ranks trees of one scene best. Kendall's τ
+//! with the time of trees that differ in it by more than 2% is .66 and .79 without misses, .90 and 1.00 with, and falls to .53 and .79
+//! with 20 ns a miss. What was measured elsewhere is read from a file ([`Costs::parse`]).
 
 pub mod cache;
 mod file;
@@ -16,6 +18,7 @@ mod file;
 pub use file::CostsError;
 
 use crate::traverse::Counts;
+use serde::{Deserialize, Serialize};
 
 /// What things cost, in nanoseconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,16 +36,21 @@ pub struct Constants {
 }
 
 /// Closest hits in Embree's kernels, see above.
-const CLOSEST_HIT: Constants = Constants { query: 0.0, visit: 6.1, leaf: 7.7, block: 2.0, miss: 25.0 };
+const CLOSEST_HIT: Constants = Constants { query: 0.0, visit: 6.1, leaf: 7.7, block: 2.0, miss: 6.0 };
 
 /// Occlusion in Embree's kernels.
-const OCCLUSION: Constants = Constants { query: 0.0, visit: 6.1, leaf: 6.2, block: 2.9, miss: 25.0 };
+const OCCLUSION: Constants = Constants { query: 0.0, visit: 6.1, leaf: 6.2, block: 2.9, miss: 6.0 };
 
 /// Widths that have constants of their own. A tree is of the least that holds its widest node; a wider one is of the last.
 pub const WIDTHS: [usize; 3] = [2, 4, 8];
 
+/// The width whose constants a tree of up to `width` children a node has.
+pub fn width_class(width: usize) -> usize {
+    WIDTHS.into_iter().find(|&least| width <= least).unwrap_or(WIDTHS[WIDTHS.len() - 1])
+}
+
 /// Counts of some queries of one kind.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counted {
     pub queries: u64,
     pub counts: Counts,
@@ -56,6 +64,34 @@ impl std::ops::AddAssign for Counted {
         self.counts += other.counts;
         self.misses += other.misses;
     }
+}
+
+/// Counts of some queries over one tree, by kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ByKind {
+    pub closest_hit: Counted,
+    pub occlusion: Counted,
+}
+
+impl ByKind {
+    pub fn of(&mut self, occlusion: bool) -> &mut Counted {
+        if occlusion { &mut self.occlusion } else { &mut self.closest_hit }
+    }
+}
+
+impl std::ops::AddAssign for ByKind {
+    fn add_assign(&mut self, other: ByKind) {
+        self.closest_hit += other.closest_hit;
+        self.occlusion += other.occlusion;
+    }
+}
+
+/// Nanoseconds of a query; `None` of a kind that was not asked.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Cost {
+    pub all: Option<f64>,
+    pub closest_hit: Option<f64>,
+    pub occlusion: Option<f64>,
 }
 
 impl Constants {
@@ -98,9 +134,22 @@ impl Default for Costs {
 impl Costs {
     /// Of trees of up to `width` children a node.
     pub fn of(&self, width: usize, occlusion: bool) -> &Constants {
-        let place = WIDTHS.iter().position(|&least| width <= least).unwrap_or(WIDTHS.len() - 1);
+        let class = width_class(width);
+        let place = WIDTHS.iter().position(|&known| known == class).unwrap_or(WIDTHS.len() - 1);
         let of_kind = if occlusion { &self.occlusion } else { &self.closest_hit };
         &of_kind[place]
+    }
+
+    /// What a query costs over a tree of up to `width` children a node.
+    pub fn per_query(&self, width: usize, counted: &ByKind) -> Cost {
+        let ByKind { closest_hit, occlusion } = counted;
+        let sums = [self.of(width, false).of(closest_hit), self.of(width, true).of(occlusion)];
+        let each = |sum: f64, queries: u64| (queries > 0).then(|| sum / queries as f64);
+        Cost {
+            all: each(sums[0] + sums[1], closest_hit.queries + occlusion.queries),
+            closest_hit: each(sums[0], closest_hit.queries),
+            occlusion: each(sums[1], occlusion.queries),
+        }
     }
 
     /// Where `share` of the queries, 0 to 1, ask for occlusion.
@@ -123,6 +172,18 @@ mod tests {
         let mut twice = counted;
         twice += counted;
         assert_eq!(constants.of(&twice), 2.0 * constants.of(&counted));
+    }
+
+    #[test]
+    fn a_query_costs_what_those_of_its_kind_do_on_average() {
+        let counts = |node_visits| Counts { node_visits, ..Counts::default() };
+        let counted = |queries, visits| Counted { queries, counts: counts(visits), misses: 0 };
+        let by_kind = ByKind { closest_hit: counted(3, 30), occlusion: counted(1, 2) };
+        let cost = Costs::default().per_query(8, &by_kind);
+        let close = |found: Option<f64>, expected: f64| found.is_some_and(|it| (it - expected).abs() < 1e-9);
+        assert!(close(cost.closest_hit, 61.0) && close(cost.occlusion, 12.2) && close(cost.all, 48.8));
+        let none = Costs::default().per_query(8, &ByKind { occlusion: Counted::default(), ..by_kind });
+        assert_eq!((none.occlusion, none.all), (None, none.closest_hit));
     }
 
     #[test]

@@ -210,12 +210,20 @@ fn wide_input(triangles: &[Triangle]) -> Tree {
     random_tree(triangles, 8, 4, &mut Random(9))
 }
 
+/// Costs of what a traversal counts alone.
+fn without_misses() -> Costs {
+    let entry =
+        |kind: &str| format!(r#"{{"width": 8, "kind": "{kind}", "visit": 6, "leaf": 7, "block": 2}}"#);
+    let json = format!(r#"{{"costs": [{}, {}]}}"#, entry("closest_hit"), entry("occlusion"));
+    Costs::parse(&json).expect("costs")
+}
+
 fn best_with(
     triangles: &[Triangle],
     queries: &[Query],
     change: impl Fn(&mut best::Config),
 ) -> Result<best::Chosen, RecipeError> {
-    let shape = Shape { width: 8, max_leaf: finish::MAX_LEAF, costs: Costs::default() };
+    let shape = Shape { width: 8, max_leaf: finish::MAX_LEAF, costs: without_misses() };
     let mut config = best::Config { shape, budget: Duration::from_secs(600), area_only: false, cuts: true };
     change(&mut config);
     let (scene, tree) = (judge::Scene { triangles, geometries: &[] }, wide_input(triangles));
@@ -226,7 +234,7 @@ fn best_with(
 /// Nanoseconds of every other judging query, followed one by one in the order of the file.
 fn nanoseconds(tree: &Tree, triangles: &[Triangle], queries: &[Query], odd: usize) -> f64 {
     let prepared = Prepared::new(tree.view(), triangles, &[]);
-    let (costs, mut scratch, mut sum, mut count) = (Costs::default(), Scratch::default(), 0.0, 0);
+    let (costs, mut scratch, mut sum, mut count) = (without_misses(), Scratch::default(), 0.0, 0);
     for query in queries.iter().filter(|query| query.judges).skip(odd).step_by(2) {
         let ray = PreparedRay::new(&query.ray);
         let mut counts = Counts::default();

@@ -8,9 +8,10 @@
 //! Trials come in levels, each of which takes more time for fewer recipes (successive halving: Karnin, Koren and Somekh, "Almost optimal
 //! exploration in multi-armed bandits", 2013):
 //!
-//! 1. the input's own tree optimised, area alone, and blends of rays and area with both ways to split, quickly: few queries, rotations, leaves only;
-//! 2. other costs of a side (n^0.9, log n, ∛(n-1)) for the two best of those, as quickly;
-//! 3. the best quarter with more queries, reinsertion and a tournament of subtrees;
+//! 1. area alone, two blends of rays and area, and the input's own tree optimised, quickly: few queries, rotations, leaves only; then the
+//!    best of those with more queries, reinsertion and a tournament of subtrees;
+//! 2. other blends with both ways to split, quickly, and the best that has not been tried so in full;
+//! 3. other costs of a side (n^0.9, ∛(n-1), log n) for the best two starts, quickly, and the best two of all that are left in full;
 //! 4. the best two of those with insertion, treelets and more rounds;
 //! 5. the best two again and again, from other training queries: which ones a tree is fitted to decides up to 6% of its cost.
 //!
@@ -29,10 +30,10 @@ pub use file::{Built, build};
 pub use plan::{Level, Plan, Start};
 
 use super::finish::{Effort, Queries, Shape, finish};
-use super::judge::{Cost, Judged, Scene, judge};
+use super::judge::{Scene, judge};
 use super::{Heuristic, Recipe, RecipeError};
 use crate::builder::{self, Splits};
-use crate::cost::Constants;
+use crate::cost::{Constants, Cost};
 use crate::format::bvh::{Bvh, flag};
 use crate::geometry::Ray;
 use crate::progress::Progress;
@@ -169,60 +170,69 @@ struct Chooser<'a> {
 }
 
 impl Chooser<'_> {
-    fn run(&mut self) -> Result<(), RecipeError> {
+    /// Makes trials until time is over, or more of them are of no use; whether there was time for all.
+    fn run(&mut self) -> Result<bool, RecipeError> {
         let quick = |start| Plan { start, level: Level::Quick, part: 0 };
-        // Area first: it is the answer when there is time for nothing else.
         let allowed = |splits: &Splits| self.config.cuts || *splits == Splits::Sweep;
-        let area: Vec<Plan> = [SPATIAL, Splits::Sweep]
-            .into_iter()
-            .filter(allowed)
-            .map(|splits| quick(Start::built(Heuristic::Sah, splits)))
-            .collect();
-        let rays = !self.fit.is_empty() && !self.config.area_only;
-        let blends: Vec<Plan> = BLENDS
-            .into_iter()
-            .filter(|(_, splits)| rays && allowed(splits))
-            .map(|(weight, splits)| quick(Start::built(Heuristic::Blend { weight }, splits)))
-            .collect();
+        let area = [SPATIAL, Splits::Sweep].into_iter().filter(allowed);
+        let mut area = area.map(|splits| quick(Start::built(Heuristic::Sah, splits)));
+        let has_rays = !self.fit.is_empty() && !self.config.area_only;
+        let blends = BLENDS.into_iter().filter(|(_, splits)| has_rays && allowed(splits));
+        let mut blends =
+            blends.map(|(weight, splits)| quick(Start::built(Heuristic::Blend { weight }, splits)));
         let own = self.improves_input().then(|| quick(Start::Input));
-        let early = blends.len().min(EARLY);
-        let plans = area[..1].iter().chain(&blends[..early]).chain(&own).chain(&area[1..]);
-        let plans: Vec<Plan> = plans.chain(&blends[early..]).copied().collect();
-        for plan in plans {
-            if !self.attempt(plan)? {
-                return Ok(());
-            }
+        // Area first: it is the answer when there is time for nothing else.
+        let opening: Vec<Plan> =
+            area.by_ref().take(1).chain(blends.by_ref().take(EARLY)).chain(own).collect();
+        let others: Vec<Plan> = area.chain(blends).collect();
+        if !(self.attempt_all(opening)? && self.deepen(Level::Quick, 1)?) {
+            return Ok(false);
         }
-        for plan in self.cheapest(Level::Quick, 2) {
+        if !(self.attempt_all(others)? && self.deepen(Level::Quick, 1)?) {
+            return Ok(false);
+        }
+        // The sides of the best start, and the likeliest for the next.
+        let mut sides = Vec::new();
+        for (plan, most) in self.cheapest(Level::Quick, 2).into_iter().zip([SIDES.len(), 1]) {
             if let Start::Built(heuristic, splits, ..) = plan.start {
-                for (count, alpha) in SIDES {
-                    if !self.attempt(quick(Start::Built(heuristic, splits, count, alpha)))? {
-                        return Ok(());
-                    }
-                }
+                let side = |&(count, alpha)| quick(Start::Built(heuristic, splits, count, alpha));
+                sides.extend(SIDES[..most].iter().map(side));
             }
         }
-        let promising = self.trials.len().div_ceil(4);
-        for plan in self.cheapest(Level::Quick, promising) {
-            if !self.attempt(Plan { level: Level::Full, ..plan })? {
-                return Ok(());
-            }
+        if !(self.attempt_all(sides)? && self.deepen(Level::Quick, 2)? && self.deepen(Level::Full, 2)?) {
+            return Ok(false);
         }
-        for plan in self.cheapest(Level::Full, 2) {
-            if !self.attempt(Plan { level: Level::Patient, ..plan })? {
-                return Ok(());
-            }
-        }
-        let finalists = self.cheapest(Level::Patient, 2);
+        let finalists: Vec<Plan> = self.cheapest(Level::Patient, 2);
         for part in 1..MOST_PARTS {
             for plan in finalists.iter().filter(|plan| plan.start.needs_rays()) {
                 let since = self.best.as_ref().map_or(0, |(winner, _)| self.trials.len() - winner);
-                if since > PATIENCE || !self.attempt(Plan { part, ..*plan })? {
-                    return Ok(());
+                if since > PATIENCE {
+                    return Ok(true);
+                }
+                if !self.attempt(Plan { part, ..*plan })? {
+                    return Ok(false);
                 }
             }
         }
-        Ok(())
+        Ok(true)
+    }
+
+    /// Follows plans, as long as there is time; whether there was for all.
+    fn attempt_all(&mut self, plans: Vec<Plan>) -> Result<bool, RecipeError> {
+        for plan in plans {
+            if !self.attempt(plan)? {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Gives the cheapest plans of a level that have not had it yet the effort of the next.
+    fn deepen(&mut self, level: Level, most: usize) -> Result<bool, RecipeError> {
+        let next = |plan: Plan| Plan { level: level.next(), ..plan };
+        let is_new = |plan: &Plan| self.trials.iter().all(|trial| trial.plan != *plan);
+        let deeper = self.cheapest(level, usize::MAX).into_iter().map(next).filter(is_new).take(most);
+        self.attempt_all(deeper.collect())
     }
 
     /// Whether the input's own tree is a start: a tree of this width and not too deep to be walked node by node, without
@@ -330,21 +340,19 @@ impl Chooser<'_> {
     /// Nanoseconds of a query that chooses; without any, of a random ray by area.
     fn cost(&self, tree: &Tree) -> f64 {
         let Shape { width, costs, .. } = &self.config.shape;
-        let judged = self.judged(tree.view(), &OcclusionOrder::First, &self.choosing);
-        judged.cost(costs).all.unwrap_or_else(|| area_cost(tree, &costs.mixed(*width, 0.0)))
+        let cost = self.judged(tree.view(), &OcclusionOrder::First, &self.choosing).all;
+        cost.unwrap_or_else(|| area_cost(tree, &costs.mixed(*width, 0.0)))
     }
 
-    fn judged(&self, tree: TreeView, order: &OcclusionOrder, queries: &[&Query]) -> Judged {
-        judge(self.scene, tree, order, queries)
+    fn judged(&self, tree: TreeView, order: &OcclusionOrder, queries: &[&Query]) -> Cost {
+        judge(self.scene, tree, order, queries, &self.config.shape.costs)
     }
 
     /// The cheapest tree, unless the queries that did not choose it like area alone better.
     fn end(mut self) -> Result<Chosen, RecipeError> {
-        let costs = &self.config.shape.costs;
         let (best, area) = (self.best.take(), self.best_area.take());
-        let confirmed =
-            |tree: &Tree| self.judged(tree.view(), &OcclusionOrder::First, &self.confirming).cost(costs);
-        let before = self.judged(self.input.tree, &self.input.order, &self.confirming).cost(costs);
+        let confirmed = |tree: &Tree| self.judged(tree.view(), &OcclusionOrder::First, &self.confirming);
+        let before = self.judged(self.input.tree, &self.input.order, &self.confirming);
         let Some((mut winner, mut tree)) = best else {
             return Err(RecipeError::NoRays("auto"));
         };

@@ -1,6 +1,7 @@
 //! What trees cost the queries that judge them: counted by the real traversal, depth first, in the order in which it will be asked.
 
-use crate::cost::{Costs, Counted};
+use crate::cost::cache::{Cache, Cached, Layout, SECOND_LEVEL};
+use crate::cost::{ByKind, Cost, Costs, Counted};
 use crate::format::bvh::Geometry;
 use crate::geometry::Triangle;
 use crate::training::queries::Query;
@@ -15,64 +16,100 @@ pub struct Scene<'a> {
     pub geometries: &'a [Geometry],
 }
 
-/// Counts of queries over one tree, by kind.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Judged {
-    pub closest_hit: Counted,
-    pub occlusion: Counted,
-    /// Most children of a node of the tree.
-    pub width: usize,
-}
+/// Queries that ask a simulated cache one after the other, which is empty before the first of them.
+const BATCH: usize = 1 << 13;
 
-/// Nanoseconds of a query; `None` of a kind that was not asked.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Cost {
-    pub all: Option<f64>,
-    pub closest_hit: Option<f64>,
-    pub occlusion: Option<f64>,
-}
-
-impl Judged {
-    /// What a query costs.
-    pub fn cost(&self, costs: &Costs) -> Cost {
-        let (closest_hit, occlusion) = (&self.closest_hit, &self.occlusion);
-        let sums = [costs.of(self.width, false).of(closest_hit), costs.of(self.width, true).of(occlusion)];
-        let each = |sum: f64, queries: u64| (queries > 0).then(|| sum / queries as f64);
-        Cost {
-            all: each(sums[0] + sums[1], closest_hit.queries + occlusion.queries),
-            closest_hit: each(sums[0], closest_hit.queries),
-            occlusion: each(sums[1], occlusion.queries),
-        }
-    }
-}
-
-/// Asks `queries` of `tree`, on the threads of the current rayon pool; occlusion in the order `order`.
-pub fn judge(scene: Scene, tree: TreeView, order: &OcclusionOrder, queries: &[&Query]) -> Judged {
+/// What `queries` cost in `tree`, asked on the threads of the current rayon pool; occlusion in the order `order`. Misses of a cache as large as a
+/// processor's second level are part of it: a tree that saves visits by cutting triangles takes more memory.
+pub fn judge(
+    scene: Scene,
+    tree: TreeView,
+    order: &OcclusionOrder,
+    queries: &[&Query],
+    costs: &Costs,
+) -> Cost {
     let prepared = Prepared::new(tree, scene.triangles, scene.geometries);
     let widest = tree.nodes.iter().filter(|node| !node.is_leaf()).map(|node| node.len()).max();
+    let layout = Layout::of(tree);
     let part = |queries: &[&Query]| {
-        let (mut judged, mut scratch) = (Judged::default(), Scratch::default());
+        let (mut counted, mut scratch) = (ByKind::default(), Scratch::default());
+        let mut cache = Cache::new(SECOND_LEVEL);
         for query in queries {
             let ray = PreparedRay::new(&query.ray);
             let candidates = Recorded { mask: query.mask, rejects: &query.rejects };
-            let scratch = &mut scratch;
+            let before = cache.misses();
+            let Counted { queries, counts, misses } = counted.of(query.is_occlusion);
+            *queries += 1;
+            let mut observer = Cached::new(counts, &mut cache, layout);
             if query.is_occlusion {
-                let Counted { queries, counts, .. } = &mut judged.occlusion;
-                *queries += 1;
-                prepared.occluder_in(order, &ray, &candidates, counts, scratch);
+                prepared.occluder_in(order, &ray, &candidates, &mut observer, &mut scratch);
             } else {
-                let Counted { queries, counts, .. } = &mut judged.closest_hit;
-                *queries += 1;
-                prepared.closest_hit(Traversal::Odf, &ray, &candidates, counts, scratch);
+                prepared.closest_hit(Traversal::Odf, &ray, &candidates, &mut observer, &mut scratch);
             }
+            *misses += cache.misses() - before;
         }
-        judged
+        counted
     };
-    let add = |mut a: Judged, b: Judged| {
-        a.closest_hit += b.closest_hit;
-        a.occlusion += b.occlusion;
+    let add = |mut a: ByKind, b: ByKind| {
+        a += b;
         a
     };
-    let judged = queries.par_chunks(1 << 10).map(part).reduce(Judged::default, add);
-    Judged { width: widest.unwrap_or(2), ..judged }
+    let counted = queries.par_chunks(BATCH).map(part).reduce(ByKind::default, add);
+    costs.per_query(widest.unwrap_or(2), &counted)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Ray, Vec3};
+    use crate::tree::{Node, Tree};
+
+    /// A node over two leaves: one block of one triangle, and two blocks of five.
+    #[test]
+    fn what_is_read_again_is_no_miss() {
+        let triangle =
+            |x: f32| Triangle([Vec3::new(x, 0.0, 0.0), Vec3::new(x, 4.0, 0.0), Vec3::new(x, 0.0, 4.0)]);
+        let triangles: Vec<Triangle> = (0..6u8).map(|x| triangle(x.into())).collect();
+        let bounds = |range: &[Triangle]| {
+            range.iter().map(Triangle::bounds).reduce(|a, b| a.union(&b)).expect("one at least")
+        };
+        let tree = Tree {
+            nodes: vec![
+                Node::inner(bounds(&triangles), 1, 2),
+                Node::leaf(bounds(&triangles[..1]), 0, 1),
+                Node::leaf(bounds(&triangles[1..]), 1, 5),
+            ],
+            primitives: (0..6).collect(),
+        };
+        // Occluded by the first triangle, or by none.
+        let query = |y: f32| {
+            let ray =
+                Ray { origin: Vec3::new(-1.0, y, 1.0), direction: Vec3::X, tnear: 0.0, tfar: f32::INFINITY };
+            Query {
+                ray,
+                segment: ray,
+                is_occlusion: true,
+                mask: u32::MAX,
+                rejects: Box::default(),
+                judges: true,
+            }
+        };
+        let scene = Scene { triangles: &triangles, geometries: &[] };
+        let entry =
+            r#"{"width": 2, "kind": "occlusion", "visit": 1, "leaf": 10, "block": 100, "miss": 10000}"#;
+        let costs = Costs::parse(&format!(r#"{{"costs": [{entry}]}}"#)).expect("costs");
+        let cost = |queries: &[Query]| {
+            let queries: Vec<&Query> = queries.iter().collect();
+            let cost = judge(scene, tree.view(), &OcclusionOrder::First, &queries, &costs);
+            assert_eq!((cost.closest_hit, cost.all), (None, cost.occlusion));
+            cost.occlusion.expect("asked")
+        };
+        // A line of the node, three of the block; the second and third time only the visit, the leaf and the block.
+        let hit = [query(1.0), query(1.0), query(1.0)];
+        let [once, thrice] = [1, 3].map(|count| cost(&hit[..count]));
+        assert_eq!(once, 111.0 + 40_000.0);
+        assert!((thrice - (111.0 + 40_000.0 / 3.0)).abs() < 1e-9, "{thrice}");
+        // Past the triangles but not past the boxes: both leaves, three blocks.
+        assert_eq!(cost(&[query(3.5)]), 321.0 + 100_000.0);
+    }
 }

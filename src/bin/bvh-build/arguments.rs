@@ -2,9 +2,8 @@
 
 use clap::{Parser, ValueEnum};
 use embree_trace::builder::{Config, Count, Splits};
-use embree_trace::cli::{Failure, TextOrJson};
+use embree_trace::cli::{self, Failure, TextOrJson};
 use embree_trace::cost::Costs;
-use embree_trace::files::MappedFile;
 use embree_trace::optimize::{Stage, annealing, insertion, reinsertion, rotations, treelets};
 use embree_trace::recipe::finish::{self, Shape};
 use embree_trace::recipe::{Heuristic, Recipe, best};
@@ -288,14 +287,7 @@ impl Arguments {
 
     /// What a tree of `width` may look like, and what things cost.
     pub fn shape(&self, width: usize) -> Result<Shape, Failure> {
-        let costs = match &self.costs {
-            None => Costs::default(),
-            Some(path) => {
-                let bytes = MappedFile::open(path)?;
-                let text = std::str::from_utf8(&bytes).map_err(|error| Failure::in_file(path, error))?;
-                Costs::parse(text).map_err(|error| Failure::in_file(path, error))?
-            }
-        };
+        let costs = self.costs.as_deref().map_or(Ok(Costs::default()), cli::costs)?;
         let max_leaf = self.max_leaf.unwrap_or(if width > 2 { finish::MAX_LEAF } else { 1 });
         let shape = Shape { width, max_leaf, costs };
         shape.check()?;

@@ -1,10 +1,11 @@
 //! From a file and its training queries to the file with the best tree, as `bvh-build` writes it and others plant it.
 
 use super::{Chosen, Config, Input, choose};
+use crate::cost::Cost;
 use crate::format::bvh::{self, Bvh, Contents, flag};
 use crate::progress::Progress;
 use crate::recipe::RecipeError;
-use crate::recipe::judge::{Cost, Scene};
+use crate::recipe::judge::Scene;
 use crate::replay::scene;
 use crate::training::queries::Query;
 use crate::traverse::child_order::rule;

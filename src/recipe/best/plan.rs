@@ -34,9 +34,11 @@ pub struct Plan {
 pub(super) const SPATIAL: Splits = Splits::Spatial(spatial::Options { max_duplication: 1.0, overlap: 1e-5 });
 
 /// Weights of the rays in a blend, and how to split, the likeliest to win first.
-pub(super) const BLENDS: [(f64, Splits); 6] = [
+pub(super) const BLENDS: [(f64, Splits); 7] = [
     (0.5, SPATIAL),
     (0.8, Splits::Sweep),
+    // A greedy build from area, and rays from there on.
+    (0.0, SPATIAL),
     (0.95, SPATIAL),
     (0.8, SPATIAL),
     (0.5, Splits::Sweep),
@@ -48,9 +50,14 @@ pub(super) const EARLY: usize = 2;
 
 /// Other costs of a side.
 pub(super) const SIDES: [(Count, f64); 3] =
-    [(Count::All, 0.9), (Count::Log, 1.0), (Count::MinusOne, 1.0 / 3.0)];
+    [(Count::All, 0.9), (Count::MinusOne, 1.0 / 3.0), (Count::Log, 1.0)];
 
 impl Level {
+    /// The next one, of which there is none above the last.
+    pub(super) fn next(self) -> Level {
+        if self == Level::Quick { Level::Full } else { Level::Patient }
+    }
+
     /// Queries that a tree is fitted to.
     pub(super) fn queries(self) -> usize {
         if self == Level::Quick { 1 << 14 } else { 1 << 16 }
