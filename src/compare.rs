@@ -3,9 +3,11 @@
 //! One tree at a time is prepared and replayed, over one recording after the other, so memory holds one prepared tree,
 //! whatever the number of trees. Embree's kernels ([`kernels`]) and the clock ([`timing`]) come after that, with all trees in memory.
 
+pub mod cost;
 pub mod explained;
 pub mod fit;
 pub mod kernels;
+pub mod limit;
 pub mod timing;
 mod verdict;
 
@@ -20,7 +22,7 @@ use crate::replay::profile::Levels;
 use crate::replay::query::Choice;
 use crate::replay::scene::{self, SceneError, Scenes};
 use crate::replay::sort::Sort;
-use crate::replay::tally::{Costs, Tally};
+use crate::replay::tally::Costs;
 use crate::replay::{self, Outcome};
 use crate::traverse::{Masks, OcclusionOrder, OrderError, OrderName, Prepared, Traversal};
 use crate::tree::epo::end_point_overlap;
@@ -28,6 +30,7 @@ use crate::tree::statistics::{Statistics, sah_cost};
 use kernels::{AnswersOnTrees, EmbreeScenes, Kernels, Wanted};
 use thiserror::Error;
 use timing::Timing;
+pub use verdict::Allowed;
 
 /// A tree to compare, and what to call it.
 pub struct Candidate<'a> {
@@ -53,6 +56,10 @@ pub struct Settings {
     /// Of depth-first occlusion queries; `None` is what each tree has recorded, else nearest first.
     pub occlusion_order: Option<OrderName>,
     pub costs: Costs,
+    /// What visits, leaves and blocks take, for the cost that is reported first.
+    pub machine: crate::cost::Costs,
+    /// Answers that are not as recorded, and no failure.
+    pub allowed: Allowed,
     /// Of each recording, whose own scene it is.
     pub choice: Choice,
     /// Whether to sum costs per pixel, of recordings whose image's size is known.
@@ -161,12 +168,6 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Γ of a tally relative to the same tally of the first tree; 1 when that costs nothing either.
-    pub fn ratio(&self, tally: &Tally, first: &Tally) -> f64 {
-        let costs = &self.settings.costs;
-        relative(costs.gamma(&tally.counts), costs.gamma(&first.counts))
-    }
-
     /// Every tree over every recording.
     pub fn results(&self) -> impl Iterator<Item = (&RecordingResult, &TreeFacts, &TreeResult)> {
         self.recordings.iter().flat_map(|recording| {

@@ -53,6 +53,21 @@ fn trees_of_every_width_agree_with_brute_force_and_json_has_its_keys() {
                 }
             }
             assert!(run["by_purpose"]["shadow"].is_object() && run["by_purpose"]["camera"].is_object());
+            // The default constants, worked out for each kind, and the mean of both kinds.
+            let [closest, occlusion] = ["closest_hit", "occlusion"].map(|kind| &run["by_kind"][kind]);
+            let nanoseconds = |group: &Value, leaf: f64, block: f64| {
+                let count = |name: &str| number(&group[name]) as f64;
+                6.1 * count("node_visits") + leaf * count("leaf_visits") + block * count("block_tests")
+            };
+            let sums = [nanoseconds(closest, 7.7, 2.0), nanoseconds(occlusion, 6.2, 2.9)];
+            for (group, sum) in [(closest, sums[0]), (occlusion, sums[1]), (run, sums[0] + sums[1])] {
+                let cost = group["cost"].as_f64().expect("a cost");
+                assert!((cost * number(&group["queries"]) as f64 - sum).abs() < 1e-6 * sum, "{group}");
+            }
+            let cost = |tree: &Value| tree["traversals"][order]["cost"].as_f64().expect("a cost");
+            let ratio = run["cost_ratio"].as_f64().expect("a ratio");
+            assert!((ratio - cost(tree) / cost(&trees[0])).abs() < 1e-9);
+            assert_eq!(run["gamma_ratio"].is_null(), number(&trees[0]["max_children"]) != width);
         }
         // RayOrder tests what T_R says, for queries that run to their end.
         let kinds = &tree["traversals"]["ray_order"]["by_kind"];
@@ -82,7 +97,18 @@ fn tables_fit_a_terminal_and_csv_has_a_row_per_group() {
     assert_eq!(output.status.code(), Some(0));
     let table = text(&output.stdout);
     assert!(table.lines().all(|line| line.chars().count() <= 100), "{table}");
-    for part in ["Cost per query", "RayOrder", "two", "four", "shadow", "closest hit", "depth 0", "T_R"] {
+    assert!(table.contains("does not compare trees of different widths"), "{table}");
+    for part in [
+        "Cost per query",
+        "Counts per query",
+        "RayOrder",
+        "two",
+        "four",
+        "shadow",
+        "closest hit",
+        "depth 0",
+        "T_R",
+    ] {
         assert!(table.contains(part), "{part}");
     }
     let output = files.run(&["two.bvh", "casts.rays", "--format", "csv", "--traversal", "odf"]);
@@ -381,6 +407,13 @@ fn a_wrong_answer_fails_and_is_told() {
         assert!(lines.lines().all(|line| line.contains(&part)), "{lines} lacks {part}");
     }
     assert_eq!(lines.lines().count(), 4, "two trees, two orders");
+    let allowing = |option: &str, most: &str| {
+        let words = ["two.bvh", "four.bvh", "wrong.rays", option, most];
+        let output = files.run(&words);
+        (output.status.code(), text(&output.stderr))
+    };
+    assert_eq!(allowing("--allow-wrong", "1").0, Some(0));
+    assert_eq!(allowing("--allow-wrong", "0").0, Some(1));
     let report: Value = serde_json::from_slice(&output.stdout).expect("a report in spite of it");
     assert_eq!(number(&report["trees"][1]["traversals"]["odf"]["mismatches"]), 1);
 }
@@ -392,12 +425,32 @@ fn costs_above_the_limit_fail() {
     let one = random_tree(&files.triangles[..], 2, usize::MAX, &mut Random(12));
     assert!(one.nodes.len() < 5, "the seed should give a tree of few leaves");
     files.write("bad.bvh", &tree_bytes(&files.triangles, &one, None));
-    let run =
-        |limit| files.run(&["two.bvh", "bad.bvh", "casts.rays", "--traversal", "odf", "--fail-above", limit]);
-    let output = run("1.5");
+    let words = ["two.bvh", "bad.bvh", "casts.rays", "--traversal", "odf"];
+    let run = |limit: f64| files.run(&[&words[..], &["--fail-above", &limit.to_string()]].concat());
+    let report = files.json(&words);
+    let ratio = report["trees"][1]["traversals"]["odf"]["cost_ratio"].as_f64().expect("a ratio");
+    let output = run(0.99 * ratio);
     assert_eq!(output.status.code(), Some(1));
-    assert!(text(&output.stderr).contains("bad.bvh: cost under ODF is "), "{}", text(&output.stderr));
-    assert_eq!(run("1000").status.code(), Some(0));
+    let lines = text(&output.stderr);
+    let line = lines.lines().last().expect("a line");
+    assert!(line.starts_with("bvh-compare: above the limit: bad.bvh: cost under ODF is "), "{lines}");
+    assert_eq!(run(1000.0).status.code(), Some(0));
+    // Few leaves are few visits, so this measure says the opposite.
+    let by = |metric: &str, limit: &str| {
+        let words = ["two.bvh", "bad.bvh", "casts.rays", "--traversal", "odf", "--format", "json"];
+        files.run(&[&words[..], &["--rounds", "1", "--fail-metric", metric, "--fail-above", limit]].concat())
+    };
+    for (metric, fails) in [("gamma", true), ("sah", true), ("visits", false)] {
+        let output = by(metric, "1.5");
+        assert_eq!(output.status.code(), Some(i32::from(fails)), "{metric}: {}", text(&output.stderr));
+        let named = text(&output.stderr).contains(&format!("bad.bvh: {metric} under ODF is "));
+        assert_eq!(named, fails, "{metric}: {}", text(&output.stderr));
+    }
+    let report: Value = serde_json::from_slice(&by("ns", "1e9").stdout).expect("a report");
+    assert!(report["trees"][1]["traversals"]["odf"]["time"].is_object(), "{report}");
+    files.refused(&["two.bvh", "casts.rays", "--fail-above", "1", "--fail-metric", "tests"], &["cost, ns"]);
+    files.refused(&["two.bvh", "casts.rays", "--fail-metric", "ns"], &["--fail-above"]);
+    files.refused(&["two.bvh", "casts.rays", "--costs", "casts.rays"], &["casts.rays"]);
 }
 
 #[test]

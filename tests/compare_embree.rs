@@ -77,6 +77,8 @@ fn confirm(name: &str, mesh: &Mesh, options: &[&str], borderline: u64) {
     let settings = Settings {
         traversals: Traversal::ALL.to_vec(),
         costs: Costs { c_i: 1.0, c_p: 1.0 },
+        machine: Default::default(),
+        allowed: Default::default(),
         choice: Choice { scene: 0, filter: Filter::default(), held_out: None, sample: None },
         occlusion_order: None,
         pixels: false,

@@ -3,7 +3,8 @@
 use clap::{Parser, ValueEnum};
 use embree_trace::cli::{self, Failure, Outcome};
 use embree_trace::compare::kernels::Wanted;
-use embree_trace::compare::{self, Candidate, Comparison, Recording, Settings};
+use embree_trace::compare::limit::Metric;
+use embree_trace::compare::{self, Allowed, Candidate, Comparison, Recording, Settings};
 #[cfg(feature = "embree")]
 use embree_trace::embree::Isa;
 use embree_trace::files::{FileError, MappedFile, OutputFile};
@@ -32,6 +33,7 @@ Examples:
   bvh-compare built.bvh ours.bvh casts.rays
   bvh-compare built.bvh ours.bvh casts.rays --filter purpose=shadow,depth=1.. --format json
   bvh-compare built.bvh ours.bvh casts.rays --sample 100000 --fail-above 1.02
+  bvh-compare built.bvh ours.bvh casts.rays --fail-above 1.05 --fail-metric ns --allow-wrong 3
   bvh-compare built.bvh ours.bvh casts.rays --held-out 0.1
   bvh-compare built.bvh ours.bvh casts.rays other-camera.rays
   bvh-compare ours.bvh casts.rays --filter kind=occlusion --traversal odf --occlusion-order nearest
@@ -45,7 +47,7 @@ Examples:
 Filters are conditions joined by commas: purpose=camera+diffuse (unknown, camera, shadow, ao, diffuse,
 specular), kind=closest or kind=occlusion, depth=1.. (also 2, 0..3 without 3, 0..=2, unknown), path=0..640.
 
-Exit code 0: every answer is right. 1: a wrong answer, or a tree above --fail-above. 2: bad input.";
+Exit code 0: every answer is right. 1: a wrong answer (\"failed:\"), or a tree above --fail-above (\"above the limit:\"). 2: bad input.";
 
 /// Replays recorded ray queries over trees, counts what each costs, and checks every answer.
 #[derive(Parser)]
@@ -86,6 +88,24 @@ struct Arguments {
     /// Exit with 1 when a tree's cost, under the first traversal, exceeds RATIO times the first tree's
     #[arg(long, value_name = "RATIO", value_parser = cost)]
     fail_above: Option<f64>,
+
+    /// By what --fail-above goes: cost (what visits, leaves and blocks of triangles take), ns (time, which is then measured), visits of nodes,
+    /// gamma (box and primitive tests) or sah
+    #[arg(long, value_name = "METRIC", default_value = "cost", requires = "fail_above")]
+    fail_metric: Metric,
+
+    /// Exit with 0 in spite of up to N wrong answers of each tree: for a recording that cannot be perfect
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    allow_wrong: u64,
+
+    /// Exit with 1 when more than N answers of a tree are borderline; without this, any number may be
+    #[arg(long, value_name = "N")]
+    allow_borderline: Option<u64>,
+
+    /// What visits, leaves and blocks cost on a machine, in nanoseconds, as bvh-build --costs reads it; without this, constants that are the same
+    /// everywhere
+    #[arg(long, value_name = "FILE")]
+    costs: Option<PathBuf>,
 
     /// Replay only N queries, spread over the recording, always the same ones
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
@@ -243,6 +263,8 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
         traversals,
         occlusion_order: arguments.occlusion_order,
         costs: Costs { c_i: arguments.ci, c_p: arguments.cp },
+        machine: arguments.costs.as_deref().map_or(Ok(Default::default()), cli::costs)?,
+        allowed: Allowed { wrong: arguments.allow_wrong, borderline: arguments.allow_borderline },
         choice: Choice {
             scene: recordings[0].scene,
             filter: arguments.filter.clone(),
@@ -254,7 +276,7 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
         packet: arguments.packet.map(usize::from),
         profile: arguments.details || arguments.html.is_some(),
         kernels: arguments.kernels(),
-        rounds: (arguments.time || arguments.fit).then_some(arguments.rounds),
+        rounds: arguments.is_timed().then_some(arguments.rounds),
         fit: arguments.fit,
     };
     let queries: u64 = rays.iter().map(Rays::query_count).sum();
@@ -267,20 +289,28 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
         eprintln!("{PROGRAM}: warning: Embree has no scene of these triangles: {why}");
     }
 
-    let mut failures = comparison.failures();
-    failures.extend(arguments.fail_above.into_iter().flat_map(|limit| comparison.above(limit)));
+    let wrong = comparison.failures();
+    let limit = arguments.fail_above.into_iter();
+    let above: Vec<String> = limit.flat_map(|limit| comparison.above(arguments.fail_metric, limit)).collect();
     if prints {
-        print(arguments, &comparison, &failures)?;
+        wrong.iter().for_each(|line| eprintln!("{PROGRAM}: failed: {line}"));
+        above.iter().for_each(|line| eprintln!("{PROGRAM}: above the limit: {line}"));
+        print(arguments, &comparison, &[&wrong[..], &above].concat())?;
     }
-    Ok(if failures.is_empty() { Outcome::Good } else { Outcome::Failed })
+    Ok(if wrong.is_empty() && above.is_empty() { Outcome::Good } else { Outcome::Failed })
 }
 
 impl Arguments {
+    /// Whether times are wanted, for themselves or for what is made of them.
+    fn is_timed(&self) -> bool {
+        self.time || self.fit || (self.fail_above.is_some() && self.fail_metric == Metric::Nanoseconds)
+    }
+
     /// Which of Embree's kernels to ask, if any.
     #[cfg(feature = "embree")]
     fn kernels(&self) -> Option<Wanted> {
         let wanted = Wanted { isa: self.isa.map(Isa::name), robust: self.robust };
-        (self.embree || self.time || self.fit).then_some(wanted)
+        (self.embree || self.is_timed()).then_some(wanted)
     }
 
     #[cfg(not(feature = "embree"))]
@@ -302,7 +332,6 @@ fn print(arguments: &Arguments, comparison: &Comparison, failures: &[String]) ->
         Format::Json => json::render(comparison, failures)? + "\n",
         Format::Csv => csv::render(comparison),
     };
-    failures.iter().for_each(|line| eprintln!("{PROGRAM}: failed: {line}"));
     std::io::stdout().lock().write_all(text.as_bytes())?;
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! What a comparison has against its trees: wrong answers, broken identities, and costs above a limit.
+//! What a comparison has against the answers of its trees: wrong ones, too many that are borderline, and broken identities.
 
 use super::kernels::Answers;
 use super::{Comparison, RecordingResult, Run, kind_name};
@@ -7,15 +7,32 @@ use crate::replay::Mismatch;
 use crate::replay::pixels::ImageSize;
 use std::fmt::Write;
 
+/// How many answers of a tree, over one recording under one traversal, are not as recorded before that is a failure: some recordings cannot be perfect.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Allowed {
+    pub wrong: u64,
+    /// `None`: any number, since both answers are right.
+    pub borderline: Option<u64>,
+}
+
 impl Comparison {
-    /// Wrong answers and broken identities, a line each; none when all is well.
+    /// Wrong and borderline answers beyond what is allowed, and broken identities, a line each; none when all is well.
     pub fn failures(&self) -> Vec<String> {
         let mut lines = Vec::new();
         for (recording, tree, results) in self.results() {
             for Run { traversal, outcome } in &results.runs {
                 let name = format!("{}{}", traversal.name(), self.over(recording));
-                if let Some(first) = &outcome.mismatch {
-                    let wrong = outcome.tallies.total.mismatches;
+                let total = &outcome.tallies.total;
+                let allowed = &self.settings.allowed;
+                if let Some(most) = allowed.borderline.filter(|&most| total.borderline > most) {
+                    let borderline = total.borderline;
+                    lines.push(format!(
+                        "{}: {name}: {borderline} borderline answers, and {most} are allowed",
+                        tree.path
+                    ));
+                }
+                let wrong = total.mismatches;
+                if let Some(first) = outcome.mismatch.as_ref().filter(|_| wrong > allowed.wrong) {
                     let told = describe(first, recording.image);
                     lines.push(format!("{}: {name}: {wrong} wrong answers, first {told}", tree.path));
                 }
@@ -39,26 +56,8 @@ impl Comparison {
         lines
     }
 
-    /// Trees whose measured Γ under the first traversal exceeds `limit` times the first tree's, a line each.
-    pub fn above(&self, limit: f64) -> Vec<String> {
-        let mut lines = Vec::new();
-        for (recording, tree, results) in self.results() {
-            let base = &recording.trees[0].runs[0];
-            let ratio = self.ratio(&results.runs[0].outcome.tallies.total, &base.outcome.tallies.total);
-            if ratio > limit {
-                let name = format!("{}{}", base.traversal.name(), self.over(recording));
-                let first = &self.trees[0].path;
-                lines.push(format!(
-                    "{}: cost under {name} is {ratio:.4} of {first}'s, above {limit}",
-                    tree.path
-                ));
-            }
-        }
-        lines
-    }
-
     /// Which recording, where there are several.
-    fn over(&self, recording: &RecordingResult) -> String {
+    pub(super) fn over(&self, recording: &RecordingResult) -> String {
         if self.recordings.len() > 1 { format!(" over {}", recording.path) } else { String::new() }
     }
 }

@@ -2,7 +2,8 @@
 //! number of threads, changes nothing.
 
 use super::check::Verdict;
-use crate::format::rays::{Purpose, Record};
+use crate::cost::ByKind;
+use crate::format::rays::{Purpose, Record, kind};
 use crate::traverse::{Counts, Decisions, Overlap};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -105,6 +106,8 @@ pub struct Tally {
     /// Queries that hit something, or were occluded.
     pub hits: u64,
     pub counts: Counts,
+    /// The same by kind.
+    pub by_kind: ByKind,
     pub box_tests: Histogram,
     pub node_visits: Histogram,
     pub primitive_tests: Histogram,
@@ -169,6 +172,7 @@ impl Tally {
         self.queries += other.queries;
         self.hits += other.hits;
         self.counts += other.counts;
+        self.by_kind += other.by_kind;
         self.box_tests.merge(&other.box_tests);
         self.node_visits.merge(&other.node_visits);
         self.primitive_tests.merge(&other.primitive_tests);
@@ -205,18 +209,21 @@ impl Tallies {
     /// Adds what was found for queries of one cell, how their packets decided, and that they took `seconds`.
     pub fn add(
         &mut self,
-        (kind, depth, purpose): Cell,
+        (query_kind, depth, purpose): Cell,
         queries: &[Replayed],
         packets: &Decisions,
         seconds: f64,
     ) {
         for tally in [
             &mut self.total,
-            self.by_kind.entry(kind).or_default(),
+            self.by_kind.entry(query_kind).or_default(),
             self.by_depth.entry(depth).or_default(),
             self.by_purpose.entry(purpose).or_default(),
         ] {
             queries.iter().for_each(|query| tally.add(query));
+            let of_kind = tally.by_kind.of(query_kind == kind::OCCLUSION);
+            of_kind.queries += queries.len() as u64;
+            queries.iter().for_each(|query| of_kind.counts += query.counts);
             tally.packets += *packets;
             tally.seconds += seconds;
         }

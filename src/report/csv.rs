@@ -9,13 +9,15 @@ const COLUMNS: &str = "path,nodes,leaves,depth,max_children,sah_cost,t_r,tree_ga
                        node_visits,primitive_tests,mismatches,borderline,unchecked,moving,seconds,gamma,box_tests_mean,box_tests_median,\
                        box_tests_p99,node_visits_mean,node_visits_median,node_visits_p99,primitive_tests_mean,\
                        primitive_tests_median,primitive_tests_p99,gamma_median,gamma_p99,epo,leaf_count_variability,\
-                       early_hits,early_misses,by_rays,few,octets,rays";
+                       early_hits,early_misses,by_rays,few,octets,cost,cost_ratio,leaf_visits,block_tests,rays";
 
 /// The whole comparison, a header line first.
 pub fn render(comparison: &Comparison) -> String {
     let costs = &comparison.settings.costs;
     let mut text = format!("{COLUMNS}\n");
-    for (recording, tree, result) in comparison.results() {
+    for (place, (recording, tree, result)) in comparison.results().enumerate() {
+        let number = place % comparison.trees.len();
+        let firsts = &recording.trees[0].runs;
         let s = &tree.statistics;
         let own = format!(
             "{},{},{},{},{},{},{},{}",
@@ -29,8 +31,10 @@ pub fn render(comparison: &Comparison) -> String {
             result.gamma(costs)
         );
         let rays = quoted(&recording.path);
-        for run in &result.runs {
-            for group in groups(&run.outcome.tallies) {
+        for (run, first) in result.runs.iter().zip(firsts) {
+            // Every tree sees the same queries, so all have the same groups.
+            let alike = groups(&first.outcome.tallies);
+            for (group, first) in groups(&run.outcome.tallies).into_iter().zip(alike) {
                 let tally = group.tally;
                 let counts = &tally.counts;
                 // Writing to a String cannot fail.
@@ -63,7 +67,13 @@ pub fn render(comparison: &Comparison) -> String {
                 let (epo, variability) = (tree.epo, result.leaf_count_variability());
                 let Decisions { early_hits, early_misses, by_rays, few, octets } = tally.packets;
                 let _ = write!(text, ",{median},{p99},{epo},{variability}");
-                let _ = writeln!(text, ",{early_hits},{early_misses},{by_rays},{few},{octets},{rays}");
+                let _ = write!(text, ",{early_hits},{early_misses},{by_rays},{few},{octets}");
+                let cost = comparison.cost(number, tally);
+                let ratio = comparison.cost_ratio(number, tally, first.tally);
+                let [cost, ratio] =
+                    [cost, ratio].map(|value| value.map_or(String::new(), |it| it.to_string()));
+                let (leaves, blocks) = (counts.leaf_visits, counts.block_tests);
+                let _ = writeln!(text, ",{cost},{ratio},{leaves},{blocks},{rays}");
             }
         }
     }

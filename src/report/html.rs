@@ -109,12 +109,14 @@ fn contents(comparison: &Comparison) -> Markup {
 
 /// What came out, in a sentence or two.
 fn sentence(comparison: &Comparison, recording: &RecordingResult, names: &[String]) -> Markup {
-    let costs = &comparison.settings.costs;
     let traversal = comparison.settings.traversals[0].name();
     let total = |tree: usize| &recording.trees[tree].runs[0].outcome.tallies.total;
-    let gamma = |tree: usize| costs.gamma(&total(tree).counts) / total(tree).queries as f64;
+    let cost = |tree: usize| comparison.cost(tree, total(tree));
     let told = |tree: usize| {
-        let ratio = comparison.ratio(total(tree), total(0));
+        let (Some(own), Some(first)) = (cost(tree), cost(0)) else {
+            return format!("was asked in packets, which have no cost beside that of {}.", names[0]);
+        };
+        let ratio = relative(own, first);
         let change = 100.0 * (ratio - 1.0);
         let verb = match change {
             c if c <= -0.05 => format!("{:.1}% less than", -c),
@@ -122,13 +124,11 @@ fn sentence(comparison: &Comparison, recording: &RecordingResult, names: &[Strin
             _ => "as much as".to_owned(),
         };
         format!(
-            "costs {verb} {} under {traversal}: Γ {:.2} per query against {:.2}, a ratio of {ratio:.3}.",
+            "is expected to take {verb} {} under {traversal}: {own:.1} ns per query against {first:.1}, a ratio of {ratio:.3}.",
             names[0],
-            gamma(tree),
-            gamma(0)
         )
     };
-    // Fewer tests are not always less time: where both are known, both are said.
+    // What is expected is not always what is measured: where both are known, both are said.
     let took = |tree: usize| {
         let timing = recording.timing.as_ref()?;
         let ns = |tree: usize| 1e9 * timing.trees[tree][0].total.median / timing.queries.max(1) as f64;
@@ -142,7 +142,7 @@ fn sentence(comparison: &Comparison, recording: &RecordingResult, names: &[Strin
     html! {
         @if comparison.recordings.len() > 1 { h3 { (plots::recording_name(recording)) } }
         @if names.len() == 1 {
-            p.lead { strong { (names[0]) } " costs Γ " (format!("{:.2}", gamma(0))) " per query under " (traversal) "." }
+            p.lead { strong { (names[0]) } " is expected to take " (cost(0).map_or("–".to_owned(), |cost| format!("{cost:.1}"))) " ns per query under " (traversal) "." }
         }
         @for (tree, name) in names.iter().enumerate().skip(1) { p.lead { strong { (name) } " " (told(tree)) @if let Some(took) = took(tree) { " " (took) } } }
         p {

@@ -6,12 +6,10 @@ use super::json_kernels::{EmbreeJson, TreeTimeJson};
 use super::json_time::{TimeJson, Timed};
 use super::time::way_key;
 use super::{gamma_quantile, mean};
-use crate::compare::{
-    Comparison, RecordingResult, Run, Settings, TreeFacts, TreeResult, depth_name, kind_name, relative,
-};
+use crate::compare::{Comparison, RecordingResult, Run, Settings, depth_name, kind_name};
 use crate::replay::profile::Profile;
 use crate::replay::sort::Sort;
-use crate::replay::tally::{Costs, Histogram, Tally};
+use crate::replay::tally::{Histogram, Tally};
 use crate::traverse::{Counts, Decisions};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -61,7 +59,8 @@ struct Tree<'a> {
     t_r_by_kind: BTreeMap<&'static str, u64>,
     /// Γ_R, strictly front to back over every effective segment.
     gamma: f64,
-    gamma_ratio: f64,
+    /// Relative to the first tree; null between trees of different widths.
+    gamma_ratio: Option<f64>,
     traversals: BTreeMap<&'static str, Traversal>,
     /// Under others' kernels.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -103,9 +102,15 @@ struct Level {
 struct Group {
     queries: u64,
     hits: u64,
+    /// Nanoseconds that a query is expected to take; null of packets.
+    cost: Option<f64>,
+    /// Relative to the first tree, same traversal and group.
+    cost_ratio: Option<f64>,
     box_tests: u64,
     node_visits: u64,
     primitive_tests: u64,
+    leaf_visits: u64,
+    block_tests: u64,
     mismatches: u64,
     borderline: u64,
     /// Not judged: what was hit is not a triangle.
@@ -115,7 +120,7 @@ struct Group {
     seconds: f64,
     /// c_i · box tests + c_p · primitive tests, as measured.
     gamma: f64,
-    /// Relative to the first tree, same traversal and group; absent where the first tree has no such queries.
+    /// Relative to the first tree, same traversal and group; null where the first tree has no such queries, or is of another width.
     gamma_ratio: Option<f64>,
     per_query: PerQuery,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -169,12 +174,8 @@ fn report_of<'a>(
     failures: Option<&'a [String]>,
 ) -> Report<'a> {
     let costs = &comparison.settings.costs;
-    let first = &recording.trees[0];
-    let trees = comparison.trees.iter().zip(&recording.trees);
-    let mut trees: Vec<Tree> = trees.map(|(facts, tree)| tree_of(costs, facts, tree, first)).collect();
-    for (number, tree) in trees.iter_mut().enumerate() {
-        tree.time = TreeTimeJson::of(comparison, recording, number);
-    }
+    let mut trees: Vec<Tree> =
+        (0..recording.trees.len()).map(|tree| tree_of(comparison, recording, tree)).collect();
     if let Some(timing) = &recording.timing {
         for ((tree, times), by_way) in trees.iter_mut().zip(&timing.trees).zip(&timing.by_way) {
             for ((traversal, time), others) in comparison.settings.traversals.iter().zip(times).zip(by_way) {
@@ -199,8 +200,8 @@ fn report_of<'a>(
     }
 }
 
-fn tree_of<'a>(costs: &Costs, facts: &'a TreeFacts, tree: &TreeResult, first: &TreeResult) -> Tree<'a> {
-    let gamma = tree.gamma(costs);
+fn tree_of<'a>(comparison: &'a Comparison, recording: &RecordingResult, number: usize) -> Tree<'a> {
+    let (facts, tree) = (&comparison.trees[number], &recording.trees[number]);
     Tree {
         path: &facts.path,
         producer: &facts.producer,
@@ -221,15 +222,15 @@ fn tree_of<'a>(costs: &Costs, facts: &'a TreeFacts, tree: &TreeResult, first: &T
             .iter()
             .map(|(kind, tally)| (kind_name(*kind), tally.overlap.inner))
             .collect(),
-        gamma,
-        gamma_ratio: relative(gamma, first.gamma(costs)),
+        gamma: tree.gamma(&comparison.settings.costs),
+        gamma_ratio: comparison.gamma_r_ratio(recording, number),
         traversals: tree
             .runs
             .iter()
-            .zip(&first.runs)
-            .map(|(run, first)| (run.traversal.key(), traversal_of(costs, run, first)))
+            .zip(&recording.trees[0].runs)
+            .map(|(run, first)| (run.traversal.key(), traversal_of(comparison, number, run, first)))
             .collect(),
-        time: None,
+        time: TreeTimeJson::of(comparison, recording, number),
     }
 }
 
@@ -242,9 +243,9 @@ fn levels_of(profile: &Profile) -> Levels {
     Levels { cache_lines: profile.cache_lines, by_level: profile.levels.iter().map(level).collect() }
 }
 
-fn traversal_of(costs: &Costs, run: &Run, first: &Run) -> Traversal {
+fn traversal_of(comparison: &Comparison, tree: usize, run: &Run, first: &Run) -> Traversal {
     let (tallies, first) = (&run.outcome.tallies, &first.outcome.tallies);
-    let group = |tally: &Tally, first: Option<&Tally>| group_of(costs, tally, first);
+    let group = |tally: &Tally, first: Option<&Tally>| group_of(comparison, tree, tally, first);
     Traversal {
         total: group(&tallies.total, Some(&first.total)),
         by_kind: tallies
@@ -268,8 +269,8 @@ fn traversal_of(costs: &Costs, run: &Run, first: &Run) -> Traversal {
     }
 }
 
-fn group_of(costs: &Costs, tally: &Tally, first: Option<&Tally>) -> Group {
-    let gamma = costs.gamma(&tally.counts);
+fn group_of(comparison: &Comparison, tree: usize, tally: &Tally, first: Option<&Tally>) -> Group {
+    let gamma = comparison.settings.costs.gamma(&tally.counts);
     let distribution = |sum: u64, histogram: &Histogram| Distribution {
         mean: mean(sum, tally.queries),
         median: histogram.quantile(0.5),
@@ -279,16 +280,20 @@ fn group_of(costs: &Costs, tally: &Tally, first: Option<&Tally>) -> Group {
     Group {
         queries: tally.queries,
         hits: tally.hits,
+        cost: comparison.cost(tree, tally),
+        cost_ratio: first.and_then(|first| comparison.cost_ratio(tree, tally, first)),
         box_tests: counts.box_tests,
         node_visits: counts.node_visits,
         primitive_tests: counts.primitive_tests,
+        leaf_visits: counts.leaf_visits,
+        block_tests: counts.block_tests,
         mismatches: tally.mismatches,
         borderline: tally.borderline,
         unchecked: tally.unchecked,
         moving: tally.moving,
         seconds: tally.seconds,
         gamma,
-        gamma_ratio: first.map(|first| relative(gamma, costs.gamma(&first.counts))),
+        gamma_ratio: first.and_then(|first| comparison.gamma_ratio(tree, tally, first)),
         per_query: PerQuery {
             box_tests: distribution(counts.box_tests, &tally.box_tests),
             node_visits: distribution(counts.node_visits, &tally.node_visits),

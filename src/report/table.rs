@@ -1,7 +1,7 @@
 //! A comparison for people: a summary, the trees, and where the queries' costs come from, each within 100 columns.
 
 use super::{grouped, groups, kernels, mean, packets, time, tree_names, unjudged};
-use crate::compare::{Comparison, RecordingResult, explained, relative};
+use crate::compare::{Comparison, RecordingResult, explained};
 use crate::traverse::Counts;
 use comfy_table::presets::UTF8_BORDERS_ONLY;
 use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
@@ -25,16 +25,22 @@ pub fn render(comparison: &Comparison, details: bool) -> String {
     }
     let costs = &comparison.settings.costs;
     text += &format!(
-        "\nΓ = {} · box tests + {} · primitive tests. ratio: Γ relative to the first tree's. T_R: inner nodes\n\
+        "\ncost: ns that a query is expected to take, from visits, leaf visits and blocks of four triangles.\n\
+         ratio: relative to the first tree's. Γ = {} · box tests + {} · primitive tests. T_R: inner nodes\n\
          that effective segments overlap. Γ_R: Γ of strict front-to-back order over those segments. EPO:\n\
          end-point overlap. LCV: leaf count variability. µs: on one thread, with counting.\n",
         costs.c_i, costs.c_p
     );
+    if comparison.mixes_widths() {
+        text += "–: a machine tests the boxes of a node together, so Γ does not compare trees of different widths;\n\
+                 bvh-build --binary makes them alike.\n";
+    }
     text
 }
 
 fn block(comparison: &Comparison, recording: &RecordingResult, names: &[String], details: bool) -> String {
     let mut text = format!("Cost per query\n{}\n", summary(comparison, recording, names));
+    text += &format!("\nCounts per query\n{}\n", counts(comparison, recording, names));
     if let Some(unjudged) = unjudged(recording) {
         text += &format!("not judged: {unjudged}\n");
     }
@@ -167,36 +173,55 @@ fn table(header: &[&str], text: usize, rows: Vec<Vec<String>>) -> Table {
     table
 }
 
+/// A number, or a dash where there is none.
+fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or("–".to_owned(), |value| format!("{value:.digits$}"))
+}
+
 fn summary(comparison: &Comparison, recording: &RecordingResult, names: &[String]) -> Table {
-    let costs = &comparison.settings.costs;
     let mut rows = Vec::new();
-    for (tree, name) in recording.trees.iter().zip(names) {
+    for (place, (tree, name)) in recording.trees.iter().zip(names).enumerate() {
         for (run, first) in tree.runs.iter().zip(&recording.trees[0].runs) {
-            let total = &run.outcome.tallies.total;
-            let per_query = |sum: u64| format!("{:.2}", mean(sum, total.queries));
+            let (total, first) = (&run.outcome.tallies.total, &first.outcome.tallies.total);
             rows.push(vec![
                 name.clone(),
                 run.traversal.name().to_owned(),
-                per_query(total.counts.box_tests),
-                per_query(total.counts.node_visits),
-                per_query(total.counts.primitive_tests),
-                format!("{:.2}", costs.gamma(&total.counts) / total.queries as f64),
-                format!("{:.3}", comparison.ratio(total, &first.outcome.tallies.total)),
-                format!("{:.2}", total.seconds * 1e6 / total.queries as f64),
+                number(comparison.cost(place, total), 2),
+                number(comparison.cost_ratio(place, total, first), 3),
                 total.mismatches.to_string(),
                 total.borderline.to_string(),
             ]);
         }
     }
-    let header = ["Tree", "Order", "boxes", "visits", "prims", "Γ", "ratio", "µs", "wrong", "borderline"];
+    table(&["Tree", "Order", "cost", "ratio", "wrong", "borderline"], 2, rows)
+}
+
+/// What explains the cost: what was visited and tested.
+fn counts(comparison: &Comparison, recording: &RecordingResult, names: &[String]) -> Table {
+    let costs = &comparison.settings.costs;
+    let mut rows = Vec::new();
+    for (place, (tree, name)) in recording.trees.iter().zip(names).enumerate() {
+        for (run, first) in tree.runs.iter().zip(&recording.trees[0].runs) {
+            let (total, first) = (&run.outcome.tallies.total, &first.outcome.tallies.total);
+            let Counts { box_tests, node_visits, primitive_tests, leaf_visits, block_tests } = total.counts;
+            let mut cells = vec![name.clone(), run.traversal.name().to_owned()];
+            let counts = [node_visits, leaf_visits, block_tests, box_tests, primitive_tests];
+            cells.extend(counts.map(|sum| format!("{:.2}", mean(sum, total.queries))));
+            cells.push(format!("{:.2}", costs.gamma(&total.counts) / total.queries as f64));
+            cells.push(number(comparison.gamma_ratio(place, total, first), 3));
+            cells.push(format!("{:.2}", total.seconds * 1e6 / total.queries as f64));
+            rows.push(cells);
+        }
+    }
+    let header = ["Tree", "Order", "visits", "leaves", "blocks", "boxes", "prims", "Γ", "ratio", "µs"];
     table(&header, 2, rows)
 }
 
 fn trees(comparison: &Comparison, recording: &RecordingResult, names: &[String]) -> Table {
     let costs = &comparison.settings.costs;
-    let first_gamma = recording.trees[0].gamma(costs);
     let mut rows = Vec::new();
-    for ((facts, tree), name) in comparison.trees.iter().zip(&recording.trees).zip(names) {
+    for (place, ((facts, tree), name)) in comparison.trees.iter().zip(&recording.trees).zip(names).enumerate()
+    {
         let statistics = &facts.statistics;
         let gamma = tree.gamma(costs);
         rows.push(vec![
@@ -210,7 +235,7 @@ fn trees(comparison: &Comparison, recording: &RecordingResult, names: &[String])
             format!("{:.2}", tree.leaf_count_variability()),
             format!("{:.3e}", tree.t_r() as f64),
             format!("{gamma:.3e}"),
-            format!("{:.3}", relative(gamma, first_gamma)),
+            number(comparison.gamma_r_ratio(recording, place), 3),
         ]);
     }
     let header = ["Tree", "nodes", "leaves", "depth", "width", "SAH", "EPO", "LCV", "T_R", "Γ_R", "ratio"];
@@ -253,7 +278,6 @@ fn levels(recording: &RecordingResult, names: &[String], run: usize) -> Option<T
 const DEPTHS_SHOWN: usize = 8;
 
 fn breakdown(comparison: &Comparison, recording: &RecordingResult, names: &[String], run: usize) -> Table {
-    let costs = &comparison.settings.costs;
     let tallies: Vec<_> =
         recording.trees.iter().map(|tree| groups(&tree.runs[run].outcome.tallies)).collect();
     let mut rows = Vec::new();
@@ -265,7 +289,7 @@ fn breakdown(comparison: &Comparison, recording: &RecordingResult, names: &[Stri
         if first.by == "depth" && depths > DEPTHS_SHOWN {
             continue;
         }
-        for (groups, name) in tallies.iter().zip(names) {
+        for (place, (groups, name)) in tallies.iter().zip(names).enumerate() {
             let Some(group) = groups.get(index) else { continue };
             let tally = group.tally;
             let is_first = std::ptr::eq(groups, &tallies[0]);
@@ -273,16 +297,16 @@ fn breakdown(comparison: &Comparison, recording: &RecordingResult, names: &[Stri
                 if is_first { group.title() } else { String::new() },
                 name.clone(),
                 if is_first { grouped(tally.queries) } else { String::new() },
+                number(comparison.cost(place, tally), 2),
+                number(comparison.cost_ratio(place, tally, first.tally), 3),
                 format!("{:.1}", mean(tally.counts.box_tests, tally.queries)),
                 tally.box_tests.quantile(0.5).to_string(),
                 tally.box_tests.quantile(0.99).to_string(),
                 format!("{:.1}", mean(tally.counts.node_visits, tally.queries)),
                 format!("{:.2}", mean(tally.counts.primitive_tests, tally.queries)),
-                format!("{:.2}", costs.gamma(&tally.counts) / tally.queries.max(1) as f64),
-                format!("{:.3}", comparison.ratio(tally, first.tally)),
             ]);
         }
     }
-    let header = ["Queries", "Tree", "count", "boxes", "median", "p99", "visits", "prims", "Γ", "ratio"];
+    let header = ["Queries", "Tree", "count", "cost", "ratio", "boxes", "median", "p99", "visits", "prims"];
     table(&header, 2, rows)
 }

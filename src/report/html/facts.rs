@@ -104,6 +104,11 @@ pub fn words() -> Markup {
             "RayOrder",
             "Strictly front to back, with a priority queue: no node is opened that begins behind the answer.",
         ),
+        (
+            "Cost",
+            "What a query is expected to take on a machine that tests the children of a node together and triangles in blocks of four: \
+             nanoseconds of visits, leaf visits and blocks, the number that trees of any width compare by.",
+        ),
         ("Γ", "c_I · box tests + c_P · primitive tests: what a query costs, in units of a test."),
         ("T_R", "Inner nodes that effective segments overlap, summed over queries: what no order can avoid."),
         (

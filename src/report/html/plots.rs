@@ -9,7 +9,8 @@ use maud::{Markup, html};
 /// Depths of queries beyond this have no bars.
 const DEPTHS_SHOWN: usize = 8;
 
-/// Γ per query of every group, a bar per tree, in two parts: box tests and primitive tests.
+/// What a query of every group costs, a bar per tree, in two parts: visits of nodes, and leaves. Of packets, which have no cost, Γ: box tests and
+/// primitive tests.
 pub fn group_bars(
     comparison: &Comparison,
     recording: &RecordingResult,
@@ -19,23 +20,33 @@ pub fn group_bars(
     let costs = &comparison.settings.costs;
     let tallies: Vec<Vec<Group>> =
         recording.trees.iter().map(|tree| groups(&tree.runs[run].outcome.tallies)).collect();
+    let is_cost = comparison.settings.packet.is_none();
+    let measure = if is_cost { "Cost, ns" } else { "Γ" };
     let bar = |series: usize, tally: &Tally, first: &Tally| {
         let queries = tally.queries.max(1) as f64;
-        let parts = [
+        let tests = [
             costs.c_i * tally.counts.box_tests as f64 / queries,
             costs.c_p * tally.counts.primitive_tests as f64 / queries,
         ];
-        let gamma = parts[0] + parts[1];
-        let ratio = comparison.ratio(tally, first);
+        let parts = if is_cost { comparison.cost_parts(series, tally).unwrap_or_default() } else { tests };
+        let sum = parts[0] + parts[1];
+        let ratio = match is_cost {
+            true => comparison.cost_ratio(series, tally, first),
+            false => comparison.gamma_ratio(series, tally, first),
+        };
+        let (factor, share) = match ratio.filter(|_| series > 0) {
+            Some(ratio) => (format!(" (×{ratio:.2})"), format!(", {ratio:.3} of {}", names[0])),
+            None => Default::default(),
+        };
         Bar {
             series,
             parts,
-            value: if series == 0 { short(gamma) } else { format!("{} (×{ratio:.2})", short(gamma)) },
+            value: format!("{}{factor}", short(sum)),
             tooltip: format!(
-                "{}: Γ {} per query, {ratio:.3} of {}; boxes {}, primitives {}",
+                "{}: {measure} {} per query{share}; visits {}, boxes {}, primitives {}",
                 names[series],
-                short(gamma),
-                names[0],
+                short(sum),
+                short(mean(tally.counts.node_visits, tally.queries)),
                 short(mean(tally.counts.box_tests, tally.queries)),
                 short(mean(tally.counts.primitive_tests, tally.queries))
             ),
@@ -55,9 +66,13 @@ pub fn group_bars(
     }
     let traversal = comparison.settings.traversals[run].name();
     figure(
-        &format!("Γ per query, {traversal}"),
-        "solid: box tests, light: primitive tests; × relative to the first tree",
-        chart::bars(&format!("Γ per query by group under {traversal}"), &rows),
+        &format!("{measure} per query, {traversal}"),
+        if is_cost {
+            "solid: visits of nodes, light: leaves; × relative to the first tree"
+        } else {
+            "solid: box tests, light: primitive tests; × relative to the first tree"
+        },
+        chart::bars(&format!("{measure} per query by group under {traversal}"), &rows),
     )
 }
 

@@ -2,7 +2,8 @@
 
 use super::super::{Group, gamma_quantile, grouped, groups, mean, packets, tree_names};
 use super::chart::short;
-use crate::compare::{Comparison, RecordingResult, relative};
+use crate::compare::{Comparison, RecordingResult};
+use crate::traverse::Counts;
 use maud::{Markup, html};
 
 /// What the columns' abbreviations mean, as tooltips.
@@ -14,6 +15,11 @@ fn meaning(column: &str) -> Option<&'static str> {
         "Γ" => "c_I · box tests + c_P · primitive tests, per query",
         "median Γ" | "p99 Γ" => "Half, or 99%, of the queries cost no more; to within 1/16",
         "ratio" => "Relative to the first tree",
+        "cost" => {
+            "Nanoseconds that a query is expected to take: visits, leaf visits and blocks of four triangles"
+        }
+        "leaves" => "Leaf visits per query",
+        "blocks" => "Blocks of up to four triangles that were tested together, per query",
         "µs" => "Per query on one thread, with counting",
         "wrong" => "Answers that are not the recorded one, and cannot be right",
         "borderline" => "Queries that graze an edge or a plane, so that two answers are right",
@@ -62,6 +68,16 @@ pub fn table(caption: &str, header: &[&str], text: usize, body: Markup) -> Marku
             }
         }
     }
+}
+
+/// A ratio as [`ratio`] shows it, or a dash where there is none.
+pub fn ratio_if(value: Option<f64>) -> Markup {
+    html! { @if let Some(value) = value { (ratio(value)) } @else { "–" } }
+}
+
+/// A number, or a dash where there is none.
+fn number_if(value: Option<f64>) -> Markup {
+    html! { @if let Some(value) = value { (format!("{value:.2}")) } @else { "–" } }
 }
 
 /// A ratio with a mark that does without colour.
@@ -118,7 +134,8 @@ pub fn summary(comparison: &Comparison, recording: &RecordingResult) -> Markup {
     let names = tree_names(comparison);
     let lines = recording.trees[0].runs[0].outcome.profile.is_some();
     let mut header =
-        vec!["Order", "Tree", "boxes", "visits", "primitives", "Γ", "median Γ", "p99 Γ", "ratio", "µs"];
+        vec!["Order", "Tree", "cost", "ratio", "visits", "leaves", "blocks", "boxes", "primitives"];
+    header.extend(["Γ", "median Γ", "p99 Γ", "ratio", "µs"]);
     header.extend(lines.then_some("lines"));
     header.extend(["wrong", "borderline"]);
     let body = html! {
@@ -131,13 +148,16 @@ pub fn summary(comparison: &Comparison, recording: &RecordingResult) -> Markup {
                     tr {
                         @if number == 0 { th scope="rowgroup" rowspan=(names.len()) { (traversal.name()) } }
                         th scope="row" { (name) }
-                        @for sum in [total.counts.box_tests, total.counts.node_visits, total.counts.primitive_tests] {
+                        td { (number_if(comparison.cost(number, total))) }
+                        td { (ratio_if(comparison.cost_ratio(number, total, first))) }
+                        @let Counts { box_tests, node_visits, primitive_tests, leaf_visits, block_tests } = total.counts;
+                        @for sum in [node_visits, leaf_visits, block_tests, box_tests, primitive_tests] {
                             td { (format!("{:.2}", mean(sum, total.queries))) }
                         }
                         td { (format!("{:.2}", costs.gamma(&total.counts) / total.queries as f64)) }
                         td { (format!("{:.1}", gamma_quantile(total, 0.5))) }
                         td { (format!("{:.1}", gamma_quantile(total, 0.99))) }
-                        td { (ratio(comparison.ratio(total, first))) }
+                        td { (ratio_if(comparison.gamma_ratio(number, total, first))) }
                         td { (format!("{:.2}", total.seconds * 1e6 / total.queries as f64)) }
                         @if let Some(profile) = &outcome.profile { td { (format!("{:.1}", mean(profile.cache_lines, total.queries))) } }
                         td { (wrong(total.mismatches)) }
@@ -174,16 +194,15 @@ pub fn packets(comparison: &Comparison, recording: &RecordingResult) -> Markup {
 /// What the trees have to do for the recording's effective segments, whatever the order.
 pub fn segments(comparison: &Comparison, recording: &RecordingResult) -> Markup {
     let costs = &comparison.settings.costs;
-    let first = recording.trees[0].gamma(costs);
     let body = html! {
         tbody {
-            @for (tree, name) in recording.trees.iter().zip(tree_names(comparison)) {
+            @for ((tree, name), number) in recording.trees.iter().zip(tree_names(comparison)).zip(0..) {
                 @let gamma = tree.gamma(costs);
                 tr {
                     th scope="row" { (name) }
                     td { (grouped(tree.t_r())) }
                     td { (short(gamma)) }
-                    td { (ratio(relative(gamma, first))) }
+                    td { (ratio_if(comparison.gamma_r_ratio(recording, number))) }
                     td { (format!("{:.2}", tree.leaf_count_variability())) }
                 }
             }
@@ -202,13 +221,14 @@ pub fn breakdown(comparison: &Comparison, recording: &RecordingResult, run: usiz
         "Queries",
         "Tree",
         "count",
+        "cost",
+        "ratio",
         "boxes",
         "visits",
         "primitives",
         "Γ",
         "median Γ",
         "p99 Γ",
-        "ratio",
         "wrong",
     ];
     let body = html! {
@@ -222,13 +242,14 @@ pub fn breakdown(comparison: &Comparison, recording: &RecordingResult, run: usiz
                         @if number == 0 { th scope="rowgroup" rowspan=(names.len()) { (first.title()) } }
                         th scope="row" { (name) }
                         td { @if number == 0 { (grouped(queries)) } }
+                        td { (number_if(comparison.cost(number, tally))) }
+                        td { (ratio_if(comparison.cost_ratio(number, tally, first.tally))) }
                         @for sum in [tally.counts.box_tests, tally.counts.node_visits, tally.counts.primitive_tests] {
                             td { (format!("{:.2}", mean(sum, queries))) }
                         }
                         td { (format!("{:.2}", costs.gamma(&tally.counts) / queries.max(1) as f64)) }
                         td { (format!("{:.1}", gamma_quantile(tally, 0.5))) }
                         td { (format!("{:.1}", gamma_quantile(tally, 0.99))) }
-                        td { (ratio(comparison.ratio(tally, first.tally))) }
                         td { (wrong(tally.mismatches)) }
                     }
                 }
