@@ -5,8 +5,8 @@
 #include <new>
 #include <utility>
 
+#include "error.hpp"
 #include "memory.hpp"
-#include "scene.hpp"
 
 namespace shim {
 
@@ -25,11 +25,11 @@ auto guarded(ShimError* error, decltype(std::declval<Work>()()) failure, Work&& 
   } catch (const Doubt& doubt) {
     report(error, SHIM_DOUBT, doubt.what());
   } catch (const std::bad_alloc&) {
-    report(error, RTC_ERROR_OUT_OF_MEMORY, "out of memory");
+    report(error, error_out_of_memory, "out of memory");
   } catch (const std::exception& caught) {
-    report(error, RTC_ERROR_UNKNOWN, caught.what());
+    report(error, error_unknown, caught.what());
   } catch (...) {
-    report(error, RTC_ERROR_UNKNOWN, "unknown exception");
+    report(error, error_unknown, "unknown exception");
   }
   return failure;
 }

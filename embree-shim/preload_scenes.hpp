@@ -8,6 +8,7 @@
 #include <mutex>
 #include <vector>
 
+#include "asking.hpp"
 #include "exchange.h"
 #include "preload_library.hpp"
 #include "preload_plant.hpp"
@@ -55,11 +56,7 @@ class Capture {
   Capture& operator=(const Capture&) = delete;
 
   // A hit's triangle.
-  struct Found {
-    std::uint32_t triangle;  // index in TRIS, or no_triangle when it is something else
-    bool second;             // the second half of a quad: u and v are to be turned
-    bool moves;
-  };
+  using Found = shim::asking::Found;
 
   // Of a quad, u and v say which half.
   Found triangle(std::uint32_t instance, std::uint32_t geometry, std::uint32_t primitive, float u, float v) const noexcept;

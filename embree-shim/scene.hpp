@@ -3,26 +3,16 @@
 
 #include <cstdint>
 #include <memory>
-#include <stdexcept>
 #include <string>
 #include <vector>
 
 #include "embree_api.hpp"
+#include "error.hpp"
 #include "faces.hpp"
 #include "plant.hpp"
 #include "shim.h"
 
 namespace shim {
-
-// Something that Embree refused; never crosses the C ABI (see shim.cpp).
-class Error : public std::runtime_error {
- public:
-  Error(RTCError code, const std::string& message) : std::runtime_error(message), code_(code) {}
-  RTCError code() const noexcept { return code_; }
-
- private:
-  RTCError code_;
-};
 
 // An RTCDevice, and the last message that it reported.
 class Device {
