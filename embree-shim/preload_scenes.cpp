@@ -7,6 +7,8 @@
 
 #include <new>
 #include <unordered_map>
+#include <utility>
+#include <vector>
 
 #include "preload_exchange.hpp"
 #include "preload_scenes.hpp"
@@ -55,6 +57,37 @@ template <typename Map, typename Key>
 typename Map::mapped_type find(const Map& map, Key key) {
   const auto found = map.find(key);
   return found == map.end() ? nullptr : found->second;
+}
+
+// What neither the program nor Embree has any more, to be freed behind the lock, and once Embree has let go of it: a scene may have a
+// tree of ours in it.
+using Gone = std::vector<std::shared_ptr<void>>;
+
+// Takes an object out of the registry when that is its only other owner: the program has released it, and it is attached to nothing.
+template <typename Map, typename Object>
+bool is_let_go(Map& map, const std::shared_ptr<Object>& object) {
+  if (object == nullptr || object->references > 0 || object.use_count() != 2) return false;
+  const auto found = map.find(object->handle);
+  // The handle may be another's by now.
+  if (found == map.end() || found->second != object) return false;
+  map.erase(found);
+  return true;
+}
+
+void let_go(Registry& registry, std::shared_ptr<Scene> scene, Gone& gone);
+
+// The same, and then of what only it kept: the scene that it instances.
+void let_go(Registry& registry, std::shared_ptr<Geometry> geometry, Gone& gone) {
+  if (!is_let_go(registry.geometries, geometry)) return;
+  let_go(registry, std::move(geometry->instanced), gone);
+  gone.push_back(std::move(geometry));
+}
+
+void let_go(Registry& registry, std::shared_ptr<Scene> scene, Gone& gone) {
+  if (!is_let_go(registry.scenes, scene)) return;
+  for (auto& [id, geometry] : scene->geometries) let_go(registry, std::move(geometry), gone);
+  scene->geometries.clear();
+  gone.push_back(std::move(scene));
 }
 
 // Runs `change` on a geometry, if it is known.
@@ -270,12 +303,11 @@ void rtcRetainScene(RTCScene scene) {
 }
 
 void rtcReleaseScene(RTCScene scene) {
-  // What goes away here is freed after the lock is given back: it may hold other scenes.
-  std::shared_ptr<Scene> last;
+  Gone gone;
   follow([&](Registry& registry) {
-    last = find(registry.scenes, scene);
+    auto last = find(registry.scenes, scene);
     if (last == nullptr || --last->references > 0) return;
-    if (last.use_count() == 2) registry.scenes.erase(scene);
+    let_go(registry, std::move(last), gone);
     registry.epoch.fetch_add(1, std::memory_order_acq_rel);
   });
   real().rtcReleaseScene(scene);
@@ -294,13 +326,13 @@ void rtcAttachGeometryByID(RTCScene scene, RTCGeometry geometry, unsigned int id
 
 void rtcDetachGeometry(RTCScene scene, unsigned int id) {
   real().rtcDetachGeometry(scene, id);
-  std::shared_ptr<Geometry> last;
+  Gone gone;
   change_scene(scene, [&](Scene& scene) {
     const auto found = scene.geometries.find(id);
     if (found == scene.geometries.end()) return;
-    last = found->second;
+    auto last = std::move(found->second);
     scene.geometries.erase(found);
-    if (last->references <= 0 && last.use_count() == 2) registry().geometries.erase(last->handle);
+    let_go(registry(), std::move(last), gone);
   });
 }
 
@@ -349,11 +381,11 @@ void rtcRetainGeometry(RTCGeometry geometry) {
 }
 
 void rtcReleaseGeometry(RTCGeometry geometry) {
-  std::shared_ptr<Geometry> last;
+  Gone gone;
   follow([&](Registry& registry) {
-    last = find(registry.geometries, geometry);
+    auto last = find(registry.geometries, geometry);
     if (last == nullptr || --last->references > 0) return;
-    if (last.use_count() == 2) registry.geometries.erase(geometry);
+    let_go(registry, std::move(last), gone);
   });
   real().rtcReleaseGeometry(geometry);
 }
@@ -428,12 +460,11 @@ void rtcUpdateGeometryBuffer(RTCGeometry geometry, RTCBufferType type, unsigned 
 
 void rtcSetGeometryInstancedScene(RTCGeometry geometry, RTCScene scene) {
   real().rtcSetGeometryInstancedScene(geometry, scene);
-  std::shared_ptr<Scene> last;
+  Gone gone;
   follow([&](Registry& registry) {
     const auto instance = find(registry.geometries, geometry);
     if (instance == nullptr) return;
-    last = std::move(instance->instanced);
-    instance->instanced = find(registry.scenes, scene);
+    let_go(registry, std::exchange(instance->instanced, find(registry.scenes, scene)), gone);
     instance->changes++;
   });
 }
