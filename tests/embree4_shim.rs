@@ -97,7 +97,8 @@ fn the_preload_library_is_the_same_with_either_header() {
             compiler(major, &headers)
                 .args(["-fvisibility=hidden", "-shared", "-Wl,--version-script=embree-shim/preload.map"])
                 .arg("-Wl,--no-undefined")
-                .args(sources(true))
+                // The calls that ask are either recorded or timed.
+                .args(sources(true).into_iter().filter(|path| !path.ends_with("preload_clock.cpp")))
                 .args(sources(false).into_iter().filter(of_shim))
                 .arg("-o")
                 .arg(&path),
