@@ -1,9 +1,11 @@
-// A call that asks Embree, as those see it who stand between a program and Embree: its rays -> Embree -> a record of each ray and
-// its answer, with the candidates that the program's filters refuse or change. The preload library is one of them
-// (preload_call.hpp), the library that a renderer is linked with the other (host_recording.cpp).
+// A call that asks Embree, as those see it who stand between a program and Embree: its rays ->
+// Embree -> a record of each ray and its answer, with the candidates that the program's filters
+// refuse or change. The preload library is one of them (preload_call.hpp), the library that a
+// renderer is linked with the other (host_recording.cpp).
 //
-// All forms of a ray, one, packets and streams, have their fields in the same order, so that one template serves them: it is
-// given where field f of lane i stands. The program's memory is read, never written.
+// All forms of a ray, one, packets and streams, have their fields in the same order, so that one
+// template serves them: it is given where field f of lane i stands. The program's memory is read,
+// never written.
 #pragma once
 
 #include <algorithm>
@@ -17,7 +19,8 @@
 
 namespace shim::asking {
 
-// One ray of a call: `at(field)` is where its field stands, counted in the order of RTCRay and RTCHit.
+// One ray of a call: `at(field)` is where its field stands, counted in the order of RTCRay and
+// RTCHit.
 enum Field : unsigned {
   origin = 0,
   tnear = 3,
@@ -39,7 +42,9 @@ T value(At at, unsigned field) noexcept {
   return value;
 }
 
-inline const float* field_of(const void* ray, unsigned field) noexcept { return static_cast<const float*>(ray) + field; }
+inline const float* field_of(const void* ray, unsigned field) noexcept {
+  return static_cast<const float*>(ray) + field;
+}
 
 inline bool has_same_bits(float a, float b) noexcept { return std::memcmp(&a, &b, sizeof a) == 0; }
 
@@ -56,7 +61,9 @@ struct Hit {
   std::uint32_t primitive, geometry, instance;
 };
 
-inline bool is_same(const Hit& a, const Hit& b) noexcept { return std::memcmp(&a, &b, sizeof a) == 0; }
+inline bool is_same(const Hit& a, const Hit& b) noexcept {
+  return std::memcmp(&a, &b, sizeof a) == 0;
+}
 
 template <typename At>
 Hit hit_of(At at) noexcept {
@@ -82,7 +89,8 @@ struct Found {
   bool moves;
 };
 
-// What filters did to candidates of the calls that a thread has under way, to those of inner calls last. All zero at first.
+// What filters did to candidates of the calls that a thread has under way, to those of inner calls
+// last. All zero at first.
 struct Candidates {
   static constexpr std::uint32_t most_rejected = 8192;
   static constexpr std::uint32_t most_changed = 4096;
@@ -115,7 +123,9 @@ struct Frame {
   void expect(unsigned count, const At& where) noexcept {
     lanes = count;
     rays = &where;
-    at = [](const void* rays, unsigned lane, unsigned field) { return (*static_cast<const At*>(rays))(lane, field); };
+    at = [](const void* rays, unsigned lane, unsigned field) {
+      return (*static_cast<const At*>(rays))(lane, field);
+    };
   }
 
   // Puts the rejects of a packet or block in the order of its lanes, before its records are made.
@@ -129,7 +139,9 @@ struct Frame {
   // The rejects of a lane. Lanes come in order.
   const Rejected* take_rejects(unsigned lane, std::uint32_t& count) noexcept {
     const std::uint32_t first = next_rejected;
-    while (next_rejected < candidates->rejected_count && candidates->rejected[next_rejected].lane == lane) next_rejected++;
+    while (next_rejected < candidates->rejected_count &&
+           candidates->rejected[next_rejected].lane == lane)
+      next_rejected++;
     count = next_rejected - first;
     return candidates->rejected + first;
   }
@@ -141,7 +153,8 @@ struct Frame {
   }
 };
 
-// Whether a filter has changed where the ray in a lane ends: then Embree may have left out what is closer.
+// Whether a filter has changed where the ray in a lane ends: then Embree may have left out what is
+// closer.
 inline bool is_interrupted(const Frame& frame, unsigned lane) noexcept {
   const Candidates& candidates = *frame.candidates;
   if (__builtin_expect(candidates.changed_count == frame.first_changed, 1)) return false;
@@ -156,18 +169,20 @@ inline bool is_interrupted(const Frame& frame, unsigned lane) noexcept {
 
 // What Embree found where the program's filters have made `hit` of it.
 inline Hit unchanged(const Frame& frame, unsigned lane, const Hit& hit) noexcept {
-  for (std::uint32_t number = frame.first_changed; number < frame.candidates->changed_count; number++) {
+  for (std::uint32_t number = frame.first_changed; number < frame.candidates->changed_count;
+       number++) {
     const Changed& changed = frame.candidates->changed[number];
     if (changed.lane == lane && is_same(changed.after, hit)) return changed.before;
   }
   return hit;
 }
 
-// Fills a record of the ray in lane `lane`, which was answered: all but path, depth and purpose. Returns whether the program
-// itself has changed where the ray ends.
+// Fills a record of the ray in lane `lane`, which was answered: all but path, depth and purpose.
+// Returns whether the program itself has changed where the ray ends.
 template <typename Numbering, typename At>
-bool answer(ShimRecord& record, const Frame& frame, const Numbering& numbering, unsigned lane, bool closest, bool coherent, At at,
-            float asked_tfar, std::uint32_t geometry_before, bool has_rejects) noexcept {
+bool answer(ShimRecord& record, const Frame& frame, const Numbering& numbering, unsigned lane,
+            bool closest, bool coherent, At at, float asked_tfar, std::uint32_t geometry_before,
+            bool has_rejects) noexcept {
   for (unsigned axis = 0; axis < 3; axis++) {
     record.origin[axis] = value<float>(at, origin + axis);
     record.direction[axis] = value<float>(at, direction + axis);
@@ -188,7 +203,8 @@ bool answer(ShimRecord& record, const Frame& frame, const Numbering& numbering, 
     const bool ends_elsewhere = !has_same_bits(value<float>(at, tfar), asked_tfar);
     interrupted = is_interrupted(frame, lane);
     // A program may ask again with the hit of before.
-    if (geometry != RTC_INVALID_GEOMETRY_ID && (geometry != geometry_before || ends_elsewhere || interrupted)) {
+    if (geometry != RTC_INVALID_GEOMETRY_ID &&
+        (geometry != geometry_before || ends_elsewhere || interrupted)) {
       flags |= flag_hit;
       const Hit hit = unchanged(frame, lane, hit_of(at));
       record.t = hit.t;
@@ -197,7 +213,8 @@ bool answer(ShimRecord& record, const Frame& frame, const Numbering& numbering, 
         interrupted = true;
         record.t = hit.t > 0 ? FLT_MAX : std::isfinite(record.tnear) ? record.tnear : 0.0f;
       }
-      const Found found = numbering.triangle(hit.instance, hit.geometry, hit.primitive, hit.u, hit.v);
+      const Found found =
+          numbering.triangle(hit.instance, hit.geometry, hit.primitive, hit.u, hit.v);
       record.triangle = found.triangle;
       record.u = found.second ? 1.0f - hit.u : hit.u;
       record.v = found.second ? 1.0f - hit.v : hit.v;
@@ -221,8 +238,8 @@ bool answer(ShimRecord& record, const Frame& frame, const Numbering& numbering, 
   return interrupted;
 }
 
-// One ray; `closest` asks for the nearest hit, and `ask` Embree. A call has, beside what it passes on to its frame,
-// `record(lane, closest, at, asked_tfar, geometry_before)`.
+// One ray; `closest` asks for the nearest hit, and `ask` Embree. A call has, beside what it passes
+// on to its frame, `record(lane, closest, at, asked_tfar, geometry_before)`.
 template <bool closest, typename Call, typename Ask>
 void single(Call& call, const void* ray, Ask ask) {
   const auto at = [ray](unsigned field) { return field_of(ray, field); };
@@ -232,7 +249,8 @@ void single(Call& call, const void* ray, Ask ask) {
   if (call.recorded()) call.record(0, closest, at, asked_tfar, before);
 }
 
-// Asks `lanes` rays with `ask`; `at(lane, field)` is where a field stands, `active(lane)` whether the ray is one.
+// Asks `lanes` rays with `ask`; `at(lane, field)` is where a field stands, `active(lane)` whether
+// the ray is one.
 template <unsigned most, bool closest, typename Call, typename At, typename Active, typename Ask>
 void ask_block(Call& call, unsigned lanes, At at, Active active, Ask ask) {
   float asked_tfar[most];
@@ -249,7 +267,9 @@ void ask_block(Call& call, unsigned lanes, At at, Active active, Ask ask) {
   frame.sort();
   for (unsigned lane = 0; lane < lanes; lane++) {
     if (!asked[lane]) continue;
-    call.record(lane, closest, [&](unsigned field) { return at(lane, field); }, asked_tfar[lane], closest ? before[lane] : 0);
+    call.record(
+        lane, closest, [&](unsigned field) { return at(lane, field); }, asked_tfar[lane],
+        closest ? before[lane] : 0);
   }
   frame.forget();
 }
@@ -257,8 +277,11 @@ void ask_block(Call& call, unsigned lanes, At at, Active active, Ask ask) {
 template <unsigned width, bool closest, typename Call, typename Ask>
 void packet(Call& call, const int* valid, const void* rays, Ask ask) {
   if (!call.recorded()) return ask();
-  const auto at = [rays](unsigned lane, unsigned field) { return field_of(rays, field * width + lane); };
-  ask_block<width, closest>(call, width, at, [valid](unsigned lane) { return valid[lane] == -1; }, ask);
+  const auto at = [rays](unsigned lane, unsigned field) {
+    return field_of(rays, field * width + lane);
+  };
+  ask_block<width, closest>(
+      call, width, at, [valid](unsigned lane) { return valid[lane] == -1; }, ask);
 }
 
 }  // namespace shim::asking

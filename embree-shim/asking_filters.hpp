@@ -1,4 +1,5 @@
-// What a program's filters do to candidates of the rays that are being asked, for who stands between them and Embree.
+// What a program's filters do to candidates of the rays that are being asked, for who stands
+// between them and Embree.
 #pragma once
 
 #include "asking.hpp"
@@ -6,8 +7,8 @@
 namespace shim::asking {
 
 // Whether the ray in lane `lane` of a filter's packet is the one in lane `asked` of the call.
-inline bool is_same_ray(const Frame& frame, const RTCFilterFunctionNArguments& arguments, unsigned lane,
-                        unsigned asked) noexcept {
+inline bool is_same_ray(const Frame& frame, const RTCFilterFunctionNArguments& arguments,
+                        unsigned lane, unsigned asked) noexcept {
   // Origin and direction.
   for (const unsigned field : {0u, 1u, 2u, 4u, 5u, 6u}) {
     const auto* seen = reinterpret_cast<const float*>(arguments.ray) + field * arguments.N + lane;
@@ -16,9 +17,11 @@ inline bool is_same_ray(const Frame& frame, const RTCFilterFunctionNArguments& a
   return true;
 }
 
-// Which of the rays that were asked lane `lane` of a filter's packet is; `lanes` when that is not known. Embree cuts packets
-// and streams as it likes where it has no kernel of their width; then the ray itself tells, unless an instance has turned it.
-inline std::uint32_t asked_lane(const Frame& frame, const RTCFilterFunctionNArguments& arguments, unsigned lane) noexcept {
+// Which of the rays that were asked lane `lane` of a filter's packet is; `lanes` when that is not
+// known. Embree cuts packets and streams as it likes where it has no kernel of their width; then
+// the ray itself tells, unless an instance has turned it.
+inline std::uint32_t asked_lane(const Frame& frame, const RTCFilterFunctionNArguments& arguments,
+                                unsigned lane) noexcept {
   if (frame.lanes == 1) return 0;
   constexpr unsigned widest_packet = 16;
   if (arguments.N == frame.lanes && frame.lanes <= widest_packet) return lane;
@@ -36,13 +39,15 @@ inline Hit candidate(const RTCFilterFunctionNArguments& arguments, unsigned lane
   return hit_of([&](unsigned field) {
     const bool of_ray = field < ray_fields;
     const void* from = of_ray ? static_cast<const void*>(arguments.ray) : arguments.hit;
-    return static_cast<const float*>(from) + (of_ray ? field : field - ray_fields) * arguments.N + lane;
+    return static_cast<const float*>(from) + (of_ray ? field : field - ray_fields) * arguments.N +
+           lane;
   });
 }
 
 // Returns whether it could be noted.
 template <typename Numbering>
-bool note_reject(Frame& frame, const Numbering& numbering, std::uint32_t asked, const Hit& hit) noexcept {
+bool note_reject(Frame& frame, const Numbering& numbering, std::uint32_t asked,
+                 const Hit& hit) noexcept {
   Candidates& candidates = *frame.candidates;
   // What another filter, which was asked before, has made of it.
   if (candidates.changed_count > frame.first_changed) {
@@ -59,13 +64,16 @@ bool note_reject(Frame& frame, const Numbering& numbering, std::uint32_t asked, 
   if (asked == frame.lanes || candidates.rejected_count == Candidates::most_rejected) return false;
   // With spatial splits a candidate may come again.
   for (std::uint32_t before = frame.first_rejected; before < candidates.rejected_count; before++) {
-    if (candidates.rejected[before].lane == asked && candidates.rejected[before].triangle == triangle) return true;
+    if (candidates.rejected[before].lane == asked &&
+        candidates.rejected[before].triangle == triangle)
+      return true;
   }
   candidates.rejected[candidates.rejected_count++] = {asked, triangle};
   return true;
 }
 
-inline void note_change(Frame& frame, std::uint32_t asked, const Hit& before, const Hit& after) noexcept {
+inline void note_change(Frame& frame, std::uint32_t asked, const Hit& before,
+                        const Hit& after) noexcept {
   Candidates& candidates = *frame.candidates;
   // A filter of the geometry, and one of the call, may both change a candidate.
   for (std::uint32_t number = candidates.changed_count; number-- > frame.first_changed;) {
@@ -81,7 +89,8 @@ inline void note_change(Frame& frame, std::uint32_t asked, const Hit& before, co
 
 // Has `filter` decide, and notes what it does. Returns how many rejects are lost.
 template <typename Numbering, typename Filter>
-std::uint64_t watch(Frame& frame, const Numbering& numbering, const RTCFilterFunctionNArguments& arguments, Filter filter) {
+std::uint64_t watch(Frame& frame, const Numbering& numbering,
+                    const RTCFilterFunctionNArguments& arguments, Filter filter) {
   constexpr unsigned widest = 16;
   if (arguments.N > widest) {
     filter(&arguments);

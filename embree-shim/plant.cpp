@@ -111,6 +111,17 @@ bool PlantedTree::is_restored(const Ground& ground) const {
   });
 }
 
+void PlantedTree::give_back(const Ground& ground) const {
+  for (const LiveBvh& bvh : find_live_bvhs(attached(ground, nullptr), nullptr)) {
+    for (const Accel& accel : accels_) {
+      if (bvh.root != accel.blocks.root) continue;
+      // Embree has moved it, and what has become of its own tree is not known.
+      if (bvh.root_address != accel.bvh.root_address) throw Doubt("a tree of ours stands elsewhere");
+      store_root(accel.bvh, accel.bvh.root);
+    }
+  }
+}
+
 const std::uint8_t* PlantedTree::places(std::uint64_t node) const noexcept {
   for (const Accel& accel : accels_) {
     const PlantedBlocks& blocks = accel.blocks;

@@ -53,6 +53,11 @@ class PlantedTree final : public SlotOrder {
   // take the place of again. Throws Doubt when that cannot be known.
   bool is_restored(const Ground& ground) const;
 
+  // As `restore`, for those who do not know whether the scene was committed since: a tree that the
+  // scene has no more is left alone. Afterwards this may go away. Throws Doubt when it cannot be
+  // known: then this must never go away.
+  void give_back(const Ground& ground) const;
+
   // The order of the file in place of the slots'.
   const std::uint8_t* places(std::uint64_t node) const noexcept override;
 

@@ -237,6 +237,63 @@ uint32_t shim_flush(ShimIntersector* intersector);
 /* Queries refused so far because they would abort Embree. */
 uint64_t shim_refused(const ShimIntersector* intersector);
 
+/* A committed scene of the program that this library is linked with, which knows nothing of the shim: held, planted in and
+ * recorded. All calls are made by one thread at a time, while nobody asks the scene, and nobody changes or commits it. */
+typedef struct ShimHost ShimHost;
+
+/* What such a scene holds, as a .bvh has it; made and freed by the shim. */
+typedef struct ShimHostCapture {
+  ShimTree tree;
+  const float* triangles; /* 9 floats each */
+  uint64_t triangle_count;
+  const ShimGeometry* geometries;
+  uint64_t geometry_count;
+  uint32_t version;
+  uint32_t planted; /* whether the tree is one that was planted */
+} ShimHostCapture;
+
+/* A reject: Rust's `format::rays::Reject`, byte for byte (8 bytes). `record` counts within the batch. */
+typedef struct ShimReject {
+  uint32_t record;
+  uint32_t triangle;
+} ShimReject;
+
+/* Takes what a thread asked; threads call at the same time. Non-zero stops the recording. */
+typedef uint32_t (*ShimHostBatch)(void* user, uint32_t thread, const ShimRecord* records, uint64_t count,
+                                  const ShimReject* rejects, uint64_t reject_count);
+
+typedef struct ShimHostSink {
+  ShimHostBatch batch;
+  void* user;
+} ShimHostSink;
+
+/* What became of a recording, beside what the sink was given. */
+typedef struct ShimHostEnd {
+  uint64_t threads;
+  uint64_t unrecorded;         /* queries for which there was no memory, or of streams that are not understood */
+  uint64_t lost_rejects;       /* that could not be assigned, or were too many */
+  uint64_t interrupted;        /* closest-hit queries whose interval the program's own functions have changed */
+  uint32_t interrupted_scene;  /* whether the scene was committed with a change meanwhile: what was asked then is missing */
+} ShimHostEnd;
+
+/* `scene` is any pointer. Null, with SHIM_DOUBT, when it is no scene of libembree3's. */
+ShimHost* shim_host_new(const void* scene, ShimError* error);
+/* Ends the recording and gives Embree's own trees back. */
+void shim_host_free(ShimHost* host);
+/* As shim_scene_plant; what was planted before is freed. */
+uint32_t shim_host_plant(ShimHost* host, const ShimTreeFile* file, ShimPlanted* planted, ShimError* error);
+/* Gives Embree's own trees back. */
+uint32_t shim_host_restore(ShimHost* host, ShimError* error);
+/* Null, with SHIM_DOUBT, when the scene cannot be read. */
+ShimHostCapture* shim_host_capture(const ShimHost* host, ShimError* error);
+void shim_host_capture_free(ShimHostCapture* capture);
+/* Records what is asked from now on. `capture` is of the scene as it is; it is not needed afterwards. */
+uint32_t shim_host_record(ShimHost* host, const ShimHostCapture* capture, ShimHostSink sink, ShimError* error);
+/* Ends the recording; no batch comes afterwards. */
+void shim_host_end(ShimHost* host, ShimHostEnd* end);
+/* What the calling thread asks from now on is of this pixel, depth and purpose. */
+void shim_host_label(uint32_t path, uint8_t depth, uint8_t purpose);
+
 #ifdef __cplusplus
 }
 #endif

@@ -8,6 +8,7 @@
 
 pub(crate) mod ffi;
 mod file;
+pub mod host;
 mod intersector;
 mod plant;
 mod settings;

@@ -9,6 +9,7 @@
 //! | Embree | `embree` (feature) | queries through the shim, and Embree's own trees |
 //! | queries | [`render`], `record` (feature) | a renderer that asks, or somebody else's (`record::program`), and the writer of what was asked |
 //! | planting | `plant` (feature) | trees of files back into Embree's scenes |
+//! | other programs' scenes | `embree::host`, `record::host` (feature) | planted in and recorded by their handles: what `crates/c-library` gives C and C++ |
 //! | formats | [`mod@format`], [`files`] | `.rays` and `.bvh`, each read and written in one place |
 //! | looking | [`inspect`], [`diff`] | what is in a file, and how two differ |
 //! | other formats | [`convert`] | recordings and trees to NumPy and other programs, and back |

@@ -8,6 +8,7 @@
 //! Memory is bounded: a thread whose unit's turn is not near waits once enough chunks are in flight, while the unit
 //! whose turn it is may always go on, so nobody waits for ever. A write error stops every unit at its next batch.
 
+pub mod host;
 pub mod program;
 mod queue;
 

@@ -4,7 +4,7 @@
 use super::intersector::{Hit, Query};
 use crate::format::bvh::Geometry;
 use crate::format::bvh::flag;
-use crate::format::rays::Record;
+use crate::format::rays::{Record, Reject};
 use crate::geometry::Triangle;
 use crate::tree::Node;
 use std::mem::{align_of, offset_of, size_of};
@@ -23,6 +23,19 @@ pub fn no_error() -> ShimError {
 pub fn text(letters: &[std::ffi::c_char]) -> String {
     let bytes: Vec<u8> = letters.iter().map(|&letter| letter as u8).take_while(|&byte| byte != 0).collect();
     String::from_utf8_lossy(&bytes).into_owned()
+}
+
+/// What the shim lends.
+///
+/// # Safety
+/// `count` elements are live from `data`, which may be null when there are none.
+pub unsafe fn slice<'a, T>(data: *const T, count: u64) -> &'a [T] {
+    if count == 0 {
+        &[]
+    } else {
+        // SAFETY: the caller's promise.
+        unsafe { std::slice::from_raw_parts(data, count as usize) }
+    }
 }
 
 /// Same size, alignment and offsets: a pointer to one struct may be used as a pointer to the other.
@@ -55,6 +68,7 @@ assert_same_layout!(
     (flags, flags),
     (purpose, purpose)
 );
+assert_same_layout!(Reject, ShimReject, (record, record), (triangle, triangle));
 assert_same_layout!(
     Query,
     ShimQuery,

@@ -31,7 +31,7 @@ impl<'a> From<&'a Bvh<'_>> for Arrays<'a> {
 
 impl Arrays<'_> {
     /// As the shim wants them. An order that does not have one byte for each node is none.
-    fn file(&self) -> ffi::ShimTreeFile {
+    pub(super) fn file(&self) -> ffi::ShimTreeFile {
         let TreeView { nodes, primitives } = self.tree;
         let order = self.order.filter(|order| order.len() == nodes.len());
         ffi::ShimTreeFile {
@@ -68,7 +68,7 @@ pub struct Planted {
 }
 
 impl Planted {
-    fn new(planted: &ffi::ShimPlanted) -> Planted {
+    pub(super) fn new(planted: &ffi::ShimPlanted) -> Planted {
         Planted {
             number: planted.number,
             trees: planted.trees as usize,

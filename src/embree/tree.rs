@@ -118,8 +118,8 @@ impl Scene {
             let view = handle.as_ref();
             let taken = TakenTree {
                 tree: Tree {
-                    nodes: slice(view.nodes.cast::<Node>(), view.node_count).to_vec(),
-                    primitives: slice(view.primitives, view.primitive_count).to_vec(),
+                    nodes: ffi::slice(view.nodes.cast::<Node>(), view.node_count).to_vec(),
+                    primitives: ffi::slice(view.primitives, view.primitive_count).to_vec(),
                 },
                 producer: ffi::text(&view.producer),
                 splits: view.splits != 0,
@@ -154,17 +154,6 @@ struct TakenTree {
     tree: Tree,
     producer: String,
     splits: bool,
-}
-
-/// # Safety
-/// `count` elements are live from `data`, which may be null when there are none.
-unsafe fn slice<'a, T>(data: *const T, count: u64) -> &'a [T] {
-    if count == 0 {
-        &[]
-    } else {
-        // SAFETY: the caller's promise.
-        unsafe { std::slice::from_raw_parts(data, count as usize) }
-    }
 }
 
 #[cfg(test)]
