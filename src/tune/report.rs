@@ -132,12 +132,15 @@ impl Report {
         let command: Vec<String> =
             options.program.words().map(|word| word.to_string_lossy().into_owned()).collect();
         let trees = options.trees.display().to_string();
+        let queries = rounds.first().map_or(0, |round| round.plain.total().queries());
+        let planting: f64 = scenes.iter().map(|scene| scene.planting_seconds).sum();
+        warnings.extend(pays_from(embree, program, queries, planting));
         let next = scenes.iter().any(|scene| scene.kept).then(|| {
             let words: Vec<String> = command.iter().map(|word| quoted(word)).collect();
             format!("embree-trace run --trees {} -- {}", quoted(&trees), words.join(" "))
         });
         Report {
-            queries: rounds.first().map_or(0, |round| round.plain.total().queries()),
+            queries,
             recorded: recorded.records,
             share: embree.zip(program).map_or(0.0, |(embree, program)| embree.plain / program.plain),
             command,
@@ -186,6 +189,21 @@ impl Report {
 
 fn seconds_of(scene: &SceneRow) -> f64 {
     scene.embree.map_or(0.0, |measure| measure.plain)
+}
+
+/// A word on short runs, in which planting takes longer than its trees save: from how many queries on it pays.
+fn pays_from(
+    embree: Option<Measure>,
+    program: Option<Measure>,
+    queries: u64,
+    planting_seconds: f64,
+) -> Option<String> {
+    let saved = embree.map(|measure| measure.plain - measure.planted).filter(|&saved| saved > 0.0)?;
+    program.filter(|measure| measure.ratio > 1.0 && planting_seconds > saved)?;
+    let from = queries as f64 * planting_seconds / saved;
+    Some(format!(
+        "planting takes {planting_seconds:.3} s of a run, and its trees save {saved:.3} s: they pay where the program asks more than about {from:.0} queries"
+    ))
 }
 
 /// A scene is the same one in both runs of a round when its geometries are.
@@ -345,6 +363,15 @@ mod tests {
         assert_eq!((measure.plain, measure.planted), (2.0, 1.0));
         assert_eq!((measure.ratio, measure.least, measure.greatest), (0.75, 0.5, 0.8));
         assert_eq!(Measure::of(vec![(0.0, 1.0)]), None);
+    }
+
+    #[test]
+    fn short_runs_are_told() {
+        let measure = |plain, planted| Measure::of(vec![(plain, planted)]);
+        let told = pays_from(measure(2.0, 1.0), measure(5.0, 6.0), 1000, 2.0).expect("short");
+        assert!(told.ends_with("more than about 2000 queries"), "{told}");
+        assert_eq!(pays_from(measure(2.0, 1.0), measure(5.0, 4.9), 1000, 2.0), None);
+        assert_eq!(pays_from(measure(2.0, 3.0), measure(5.0, 6.0), 1000, 2.0), None);
     }
 
     #[test]
