@@ -21,25 +21,14 @@ impl Comparison {
         let mut lines = Vec::new();
         for (recording, tree, results) in self.results() {
             for Run { traversal, outcome } in &results.runs {
-                let name = format!("{}{}", traversal.name(), self.over(recording));
+                let who = format!("{}: {}{}", tree.path, traversal.name(), self.over(recording));
                 let total = &outcome.tallies.total;
-                let allowed = &self.settings.allowed;
-                if let Some(most) = allowed.borderline.filter(|&most| total.borderline > most) {
-                    let borderline = total.borderline;
-                    lines.push(format!(
-                        "{}: {name}: {borderline} borderline answers, and {most} are allowed",
-                        tree.path
-                    ));
-                }
-                let wrong = total.mismatches;
-                if let Some(first) = outcome.mismatch.as_ref().filter(|_| wrong > allowed.wrong) {
-                    let told = describe(first, recording.image);
-                    lines.push(format!("{}: {name}: {wrong} wrong answers, first {told}", tree.path));
-                }
+                let first = outcome.mismatch.as_ref();
+                let image = recording.image;
+                lines.extend(self.beyond(&who, total.borderline, total.mismatches, first, image));
                 if let Some(query) = outcome.violation {
                     lines.push(format!(
-                        "{}: {name}: box tests of query {query} are not those of T_R; please report this",
-                        tree.path
+                        "{who}: box tests of query {query} are not those of T_R; please report this"
                     ));
                 }
             }
@@ -47,11 +36,30 @@ impl Comparison {
         for recording in &self.recordings {
             let answers = recording.kernels.iter().flat_map(|kernels| &kernels.trees);
             for (tree, answers) in self.trees.iter().zip(answers) {
-                let Some(Answers { mismatches, mismatch: Some(first), .. }) = answers else { continue };
-                let name = format!("Embree's kernels{}", self.over(recording));
-                let told = describe(first, recording.image);
-                lines.push(format!("{}: {name}: {mismatches} wrong answers, first {told}", tree.path));
+                let Some(Answers { mismatches, borderline, mismatch, .. }) = answers else { continue };
+                let who = format!("{}: Embree's kernels{}", tree.path, self.over(recording));
+                lines.extend(self.beyond(&who, *borderline, *mismatches, mismatch.as_ref(), recording.image));
             }
+        }
+        lines
+    }
+
+    /// What of the answers of `who` is beyond what is allowed.
+    fn beyond(
+        &self,
+        who: &str,
+        borderline: u64,
+        wrong: u64,
+        first: Option<&Mismatch>,
+        image: Option<ImageSize>,
+    ) -> Vec<String> {
+        let Allowed { wrong: most_wrong, borderline: most_borderline } = self.settings.allowed;
+        let mut lines = Vec::new();
+        if let Some(most) = most_borderline.filter(|&most| borderline > most) {
+            lines.push(format!("{who}: {borderline} borderline answers, and {most} are allowed"));
+        }
+        if let Some(first) = first.filter(|_| wrong > most_wrong) {
+            lines.push(format!("{who}: {wrong} wrong answers, first {}", describe(first, image)));
         }
         lines
     }

@@ -197,6 +197,8 @@ fn wrong_answers_of_embrees_kernels_fail() {
     let lines = text(&output.stderr);
     let line = format!("two.bvh: Embree's kernels: 1 wrong answers, first query {wrong} ");
     assert!(lines.contains(&line), "{lines}");
+    let allowing = ["two.bvh", "wrong.rays", "--traversal", "odf", "--embree", "--allow-wrong", "1"];
+    assert_eq!(files.run(&allowing).status.code(), Some(0));
 }
 
 /// Geometries by other numbers and in another order, none, some, and quads; a tree that is a branch.
