@@ -2,10 +2,15 @@
 // Embree finds their vertices. Nothing in here calls Embree.
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <limits>
 #include <vector>
+
+#include "ray_check.hpp"
 
 namespace shim {
 
@@ -14,12 +19,39 @@ struct Bounds {
   float upper[3];
 
   // The identity of `extend`; also the box of an empty tree.
-  static Bounds empty() noexcept;
-  void extend(const Bounds& other) noexcept;
-  bool contains(const Bounds& other) const noexcept;
-  bool overlaps(const Bounds& other) const noexcept;
+  static Bounds empty() noexcept {
+    constexpr float infinity = std::numeric_limits<float>::infinity();
+    return {{infinity, infinity, infinity}, {-infinity, -infinity, -infinity}};
+  }
+
+  void extend(const Bounds& other) noexcept {
+    for (int axis = 0; axis < 3; axis++) {
+      lower[axis] = std::min(lower[axis], other.lower[axis]);
+      upper[axis] = std::max(upper[axis], other.upper[axis]);
+    }
+  }
+
+  bool contains(const Bounds& other) const noexcept {
+    bool inside = true;
+    for (int axis = 0; axis < 3; axis++) {
+      inside = inside && lower[axis] <= other.lower[axis] && other.upper[axis] <= upper[axis];
+    }
+    return inside;
+  }
+
+  bool overlaps(const Bounds& other) const noexcept {
+    bool overlap = true;
+    for (int axis = 0; axis < 3; axis++) {
+      overlap = overlap && lower[axis] <= other.upper[axis] && other.lower[axis] <= upper[axis];
+    }
+    return overlap;
+  }
+
   // Whether lower <= upper on every axis, and none is NaN.
-  bool is_proper() const noexcept;
+  bool is_proper() const noexcept {
+    return lower[0] <= upper[0] && lower[1] <= upper[1] && lower[2] <= upper[2];
+  }
+
   bool operator==(const Bounds& other) const noexcept;
 };
 
@@ -60,11 +92,29 @@ struct Part {
   }
 
   // Whether Embree keeps the face: it drops one with a vertex that is missing, NaN or too large.
-  bool keeps(std::uint64_t face) const noexcept;
+  bool keeps(std::uint64_t face) const noexcept {
+    for (std::uint32_t corner = 0; corner < corners; corner++) {
+      if (index(face, corner) >= vertex_count) return false;
+      for (const float coordinate : vertex(face, corner)) {
+        if (!(std::fabs(coordinate) < embree_large)) return false;
+      }
+    }
+    return true;
+  }
   // Whether Embree would keep other faces with these vertices in place of its own, as many and as far apart.
   bool keeps_otherwise(const unsigned char* others) const noexcept;
   // The box of one of a face's triangles.
-  Bounds bounds(std::uint64_t face, std::uint32_t half) const noexcept;
+  Bounds bounds(std::uint64_t face, std::uint32_t half) const noexcept {
+    Bounds bounds = Bounds::empty();
+    for (const std::uint32_t corner : corners_of(half)) {
+      const auto position = vertex(face, corner);
+      for (int axis = 0; axis < 3; axis++) {
+        bounds.lower[axis] = std::min(bounds.lower[axis], position[axis]);
+        bounds.upper[axis] = std::max(bounds.upper[axis], position[axis]);
+      }
+    }
+    return bounds;
+  }
   // Writes the face's triangles, 9 floats each. What Embree drops gets NaN in all nine when it would be finite otherwise;
   // returns how many finite triangles were replaced so.
   std::uint32_t triangles(std::uint64_t face, float* triangles) const noexcept;

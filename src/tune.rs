@@ -2,7 +2,7 @@
 //! Embree's trees and on ours in turn.
 //!
 //! Data flows so: a first run is counted, so that the share of paths that gives [`Options::queries`] is known → a recorded run
-//! ([`crate::record::program`]) → trees ([`build`]) → rounds of one run on Embree's trees and one on ours ([`timed`]) → medians and spread
+//! ([`crate::record::program`]) → trees (`build`) → rounds of one run on Embree's trees and one on ours ([`timed`]) → medians and spread
 //! ([`report`]). Files that the program writes are compared after each run ([`outputs`]). What does not pay is moved out of the
 //! directory of trees, so that `embree-trace run --trees` has what does.
 
