@@ -3,6 +3,7 @@
 //! One tree at a time is prepared and replayed, over one recording after the other, so memory holds one prepared tree,
 //! whatever the number of trees. Embree's kernels ([`kernels`]) and the clock ([`timing`]) come after that, with all trees in memory.
 
+pub mod baseline;
 pub mod cost;
 pub mod explained;
 pub mod fit;
@@ -27,6 +28,7 @@ use crate::replay::{self, Outcome};
 use crate::traverse::{Masks, OcclusionOrder, OrderError, OrderName, Prepared, Traversal};
 use crate::tree::epo::end_point_overlap;
 use crate::tree::statistics::{Statistics, sah_cost};
+use baseline::Baseline;
 use kernels::{AnswersOnTrees, EmbreeScenes, Kernels, Wanted};
 use thiserror::Error;
 use timing::Timing;
@@ -58,6 +60,8 @@ pub struct Settings {
     pub costs: Costs,
     /// What visits, leaves and blocks take, for the cost that is reported first.
     pub machine: crate::cost::Costs,
+    /// What trees are held to, in place of the first one.
+    pub baseline: Option<Baseline>,
     /// Answers that are not as recorded, and no failure.
     pub allowed: Allowed,
     /// Of each recording, whose own scene it is.

@@ -451,6 +451,25 @@ fn costs_above_the_limit_fail() {
     files.refused(&["two.bvh", "casts.rays", "--fail-above", "1", "--fail-metric", "tests"], &["cost, ns"]);
     files.refused(&["two.bvh", "casts.rays", "--fail-metric", "ns"], &["--fail-above"]);
     files.refused(&["two.bvh", "casts.rays", "--costs", "casts.rays"], &["casts.rays"]);
+
+    // An earlier report: every tree is held to itself, by name.
+    let words = ["two.bvh", "bad.bvh", "casts.rays", "--traversal", "odf", "--format", "json"];
+    let report: Value = serde_json::from_slice(&files.run(&words).stdout).expect("a report");
+    files.write("then.json", report.to_string().as_bytes());
+    let against =
+        |limit: &str| files.run(&[&words[..], &["--baseline", "then.json", "--fail-above", limit]].concat());
+    let again = against("1.0");
+    assert_eq!(again.status.code(), Some(0), "{}", text(&again.stderr));
+    let again: Value = serde_json::from_slice(&again.stdout).expect("a report");
+    assert_eq!(again["trees"][1]["baseline_cost"], report["trees"][1]["traversals"]["odf"]["cost"]);
+    assert_eq!(against("0.99").status.code(), Some(1));
+    let output = files.run(&["four.bvh", "casts.rays", "--baseline", "then.json", "--fail-above", "9"]);
+    assert!(
+        text(&output.stderr).contains("four.bvh: cost is not in the baseline"),
+        "{}",
+        text(&output.stderr)
+    );
+    files.refused(&["two.bvh", "casts.rays", "--baseline", "casts.rays"], &["casts.rays"]);
 }
 
 #[test]

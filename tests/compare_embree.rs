@@ -78,6 +78,7 @@ fn confirm(name: &str, mesh: &Mesh, options: &[&str], borderline: u64) {
         traversals: Traversal::ALL.to_vec(),
         costs: Costs { c_i: 1.0, c_p: 1.0 },
         machine: Default::default(),
+        baseline: None,
         allowed: Default::default(),
         choice: Choice { scene: 0, filter: Filter::default(), held_out: None, sample: None },
         occlusion_order: None,

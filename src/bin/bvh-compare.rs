@@ -2,6 +2,7 @@
 
 use clap::{Parser, ValueEnum};
 use embree_trace::cli::{self, Failure, Outcome};
+use embree_trace::compare::baseline::Baseline;
 use embree_trace::compare::kernels::Wanted;
 use embree_trace::compare::limit::Metric;
 use embree_trace::compare::{self, Allowed, Candidate, Comparison, Recording, Settings};
@@ -34,6 +35,7 @@ Examples:
   bvh-compare built.bvh ours.bvh casts.rays --filter purpose=shadow,depth=1.. --format json
   bvh-compare built.bvh ours.bvh casts.rays --sample 100000 --fail-above 1.02
   bvh-compare built.bvh ours.bvh casts.rays --fail-above 1.05 --fail-metric ns --allow-wrong 3
+  bvh-compare ours.bvh casts.rays --baseline yesterday.json --fail-above 1.02
   bvh-compare built.bvh ours.bvh casts.rays --held-out 0.1
   bvh-compare built.bvh ours.bvh casts.rays other-camera.rays
   bvh-compare ours.bvh casts.rays --filter kind=occlusion --traversal odf --occlusion-order nearest
@@ -93,6 +95,11 @@ struct Arguments {
     /// gamma (box and primitive tests) or sah
     #[arg(long, value_name = "METRIC", default_value = "cost", requires = "fail_above")]
     fail_metric: Metric,
+
+    /// Compare with an earlier report of --format json, also of other geometry or another recording: --fail-above is then about what each
+    /// tree was there (by the name of its file, else by its place)
+    #[arg(long, value_name = "REPORT")]
+    baseline: Option<PathBuf>,
 
     /// Exit with 0 in spite of up to N wrong answers of each tree: for a recording that cannot be perfect
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -264,6 +271,7 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
         occlusion_order: arguments.occlusion_order,
         costs: Costs { c_i: arguments.ci, c_p: arguments.cp },
         machine: arguments.costs.as_deref().map_or(Ok(Default::default()), cli::costs)?,
+        baseline: arguments.baseline.as_deref().map(baseline).transpose()?,
         allowed: Allowed { wrong: arguments.allow_wrong, borderline: arguments.allow_borderline },
         choice: Choice {
             scene: recordings[0].scene,
@@ -334,6 +342,13 @@ fn print(arguments: &Arguments, comparison: &Comparison, failures: &[String]) ->
     };
     std::io::stdout().lock().write_all(text.as_bytes())?;
     Ok(())
+}
+
+/// Reads an earlier report.
+fn baseline(path: &Path) -> Result<Baseline, Failure> {
+    let bytes = MappedFile::open(path)?;
+    let text = std::str::from_utf8(&bytes).map_err(|error| Failure::in_file(path, error))?;
+    Baseline::parse(text).map_err(|error| Failure::in_file(path, error))
 }
 
 /// Reads files of one kind; an error says which file.

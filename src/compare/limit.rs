@@ -68,23 +68,39 @@ impl Comparison {
         self.trees.iter().zip(&recording.trees).enumerate().map(each).collect()
     }
 
-    /// Trees that exceed `limit` times the first one by `metric` under the first traversal, a line each; one line where that was not measured.
+    /// What each tree had per query in the baseline, by `metric` under the first traversal; `None` without one, or where that has no such tree.
+    pub fn at_baseline(&self, recording: usize, metric: Metric) -> Vec<Option<f64>> {
+        let count = self.trees.len();
+        let each = |(place, tree): (usize, &TreeFacts)| {
+            let baseline = self.settings.baseline.as_ref()?;
+            baseline.value(recording, (&tree.path, place, count), self.settings.traversals[0], metric)
+        };
+        self.trees.iter().enumerate().map(each).collect()
+    }
+
+    /// Trees that exceed `limit` times the first one, or with a baseline what they were there, by `metric` under the first traversal, a line
+    /// each; one line where that was not measured.
     pub fn above(&self, metric: Metric, limit: f64) -> Vec<String> {
         let mut lines = Vec::new();
         let (first, traversal) = (&self.trees[0], self.settings.traversals[0].name());
-        for recording in &self.recordings {
+        for (number, recording) in self.recordings.iter().enumerate() {
             let values = self.measured(recording, metric);
-            for (tree, value) in self.trees.iter().zip(&values) {
+            let (bases, whose) = match self.settings.baseline {
+                Some(_) => (self.at_baseline(number, metric), "the baseline"),
+                None => (vec![values[0]; values.len()], first.path.as_str()),
+            };
+            for ((tree, value), base) in self.trees.iter().zip(&values).zip(bases) {
                 let (key, over) = (metric.key(), self.over(recording));
-                let (Some(value), Some(base)) = (value, values[0]) else {
-                    lines.push(format!("{}: {key} was not measured{over}, so no limit holds", tree.path));
+                let (Some(value), Some(base)) = (value, base) else {
+                    let why = if value.is_some() { "is not in the baseline" } else { "was not measured" };
+                    lines.push(format!("{}: {key}{over} {why}, so no limit holds", tree.path));
                     continue;
                 };
                 let ratio = relative(*value, base);
                 if ratio > limit {
                     lines.push(format!(
-                        "{}: {key} under {traversal}{over} is {ratio:.4} of {}'s, above {limit}",
-                        tree.path, first.path
+                        "{}: {key} under {traversal}{over} is {ratio:.4} of {whose}'s, above {limit}",
+                        tree.path
                     ));
                 }
             }

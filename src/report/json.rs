@@ -6,6 +6,7 @@ use super::json_kernels::{EmbreeJson, TreeTimeJson};
 use super::json_time::{TimeJson, Timed};
 use super::time::way_key;
 use super::{gamma_quantile, mean};
+use crate::compare::limit::Metric;
 use crate::compare::{Comparison, RecordingResult, Run, Settings, depth_name, kind_name};
 use crate::replay::profile::Profile;
 use crate::replay::sort::Sort;
@@ -62,6 +63,9 @@ struct Tree<'a> {
     /// Relative to the first tree; null between trees of different widths.
     gamma_ratio: Option<f64>,
     traversals: BTreeMap<&'static str, Traversal>,
+    /// What a query of the first traversal cost in the baseline.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    baseline_cost: Option<f64>,
     /// Under others' kernels.
     #[serde(skip_serializing_if = "Option::is_none")]
     time: Option<TreeTimeJson>,
@@ -230,6 +234,11 @@ fn tree_of<'a>(comparison: &'a Comparison, recording: &RecordingResult, number: 
             .zip(&recording.trees[0].runs)
             .map(|(run, first)| (run.traversal.key(), traversal_of(comparison, number, run, first)))
             .collect(),
+        baseline_cost: comparison
+            .recordings
+            .iter()
+            .position(|other| std::ptr::eq(other, recording))
+            .and_then(|place| comparison.at_baseline(place, Metric::Cost)[number]),
         time: TreeTimeJson::of(comparison, recording, number),
     }
 }

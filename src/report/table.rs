@@ -1,7 +1,8 @@
 //! A comparison for people: a summary, the trees, and where the queries' costs come from, each within 100 columns.
 
 use super::{grouped, groups, kernels, mean, packets, time, tree_names, unjudged};
-use crate::compare::{Comparison, RecordingResult, explained};
+use crate::compare::limit::Metric;
+use crate::compare::{Comparison, RecordingResult, explained, relative};
 use crate::traverse::Counts;
 use comfy_table::presets::UTF8_BORDERS_ONLY;
 use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
@@ -40,6 +41,9 @@ pub fn render(comparison: &Comparison, details: bool) -> String {
 
 fn block(comparison: &Comparison, recording: &RecordingResult, names: &[String], details: bool) -> String {
     let mut text = format!("Cost per query\n{}\n", summary(comparison, recording, names));
+    if let Some(baseline) = against_baseline(comparison, recording, names) {
+        text += &format!("\nAgainst the baseline\n{baseline}\n");
+    }
     text += &format!("\nCounts per query\n{}\n", counts(comparison, recording, names));
     if let Some(unjudged) = unjudged(recording) {
         text += &format!("not judged: {unjudged}\n");
@@ -194,6 +198,20 @@ fn summary(comparison: &Comparison, recording: &RecordingResult, names: &[String
         }
     }
     table(&["Tree", "Order", "cost", "ratio", "wrong", "borderline"], 2, rows)
+}
+
+/// What each tree costs under the first traversal, and what it did in an earlier report.
+fn against_baseline(comparison: &Comparison, recording: &RecordingResult, names: &[String]) -> Option<Table> {
+    comparison.settings.baseline.as_ref()?;
+    let place = comparison.recordings.iter().position(|other| std::ptr::eq(other, recording))?;
+    let then = comparison.at_baseline(place, Metric::Cost);
+    let mut rows = Vec::new();
+    for (tree, (name, then)) in names.iter().zip(then).enumerate() {
+        let now = comparison.cost(tree, &recording.trees[tree].runs[0].outcome.tallies.total);
+        let ratio = then.zip(now).map(|(then, now)| relative(now, then));
+        rows.push(vec![name.clone(), number(then, 2), number(now, 2), number(ratio, 3)]);
+    }
+    Some(table(&["Tree", "cost then", "now", "ratio"], 1, rows))
 }
 
 /// What explains the cost: what was visited and tested.
