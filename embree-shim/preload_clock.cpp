@@ -6,18 +6,16 @@
 //
 // Calls have Embree 3's prototypes. Those of Embree 4 have as many pointers, in the same registers, and nothing but the scene is
 // looked at.
-#include <fcntl.h>
 #include <pthread.h>
 #include <sys/mman.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
-#include <cerrno>
 #include <cstdio>
 #include <cstdlib>
 #include <ctime>
 
+#include "preload_exchange.hpp"
 #include "preload_scenes.hpp"
 
 namespace preload {
@@ -35,17 +33,8 @@ constexpr std::uint64_t many_rays = 256;
 ExchangeClocks* attach_clocks() noexcept {
   const char* path = std::getenv(variable);
   if (path == nullptr) return nullptr;
-  const int saved = errno;
-  const int file = open(path, O_RDWR | O_CLOEXEC);
-  void* memory = MAP_FAILED;
-  struct stat status;
-  if (file >= 0 && fstat(file, &status) == 0 && static_cast<std::size_t>(status.st_size) == mapping_bytes) {
-    memory = mmap(nullptr, mapping_bytes, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
-  }
-  if (file >= 0) close(file);
-  errno = saved;
-  auto* clocks = static_cast<ExchangeClocks*>(memory);
-  if (memory == MAP_FAILED || clocks->magic != EXCHANGE_MAGIC) {
+  auto* clocks = static_cast<ExchangeClocks*>(map_shared(path, mapping_bytes));
+  if (clocks == nullptr || clocks->magic != EXCHANGE_MAGIC) {
     std::fprintf(stderr, "embree-trace: warning: %s does not lead to clocks; this process is not timed\n", variable);
     return nullptr;
   }

@@ -31,17 +31,8 @@ static_assert(slots_offset % 64 == 0 && sizeof(ExchangeSlot) % 64 == 0 && offset
 ExchangeHeader* attach() noexcept {
   const char* path = std::getenv(variable);
   if (path == nullptr) return nullptr;
-  const int saved = errno;
-  const int file = open(path, O_RDWR | O_CLOEXEC);
-  void* memory = MAP_FAILED;
-  struct stat status;
-  if (file >= 0 && fstat(file, &status) == 0 && static_cast<std::size_t>(status.st_size) == mapping_bytes) {
-    memory = mmap(nullptr, mapping_bytes, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
-  }
-  if (file >= 0) close(file);
-  errno = saved;
-  auto* header = static_cast<ExchangeHeader*>(memory);
-  if (memory == MAP_FAILED || header->magic != EXCHANGE_MAGIC) {
+  auto* header = static_cast<ExchangeHeader*>(map_shared(path, mapping_bytes));
+  if (header == nullptr || header->magic != EXCHANGE_MAGIC) {
     std::fprintf(stderr, "embree-trace: warning: %s does not lead to a recording; this process is not recorded\n", variable);
     return nullptr;
   }
@@ -110,6 +101,19 @@ bool collector_lives(const ExchangeHeader& header) noexcept {
 }
 
 }  // namespace
+
+void* map_shared(const char* path, std::size_t bytes) noexcept {
+  const int saved = errno;
+  const int file = open(path, O_RDWR | O_CLOEXEC);
+  void* memory = MAP_FAILED;
+  struct stat status;
+  if (file >= 0 && fstat(file, &status) == 0 && static_cast<std::size_t>(status.st_size) == bytes) {
+    memory = mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+  }
+  if (file >= 0) close(file);
+  errno = saved;
+  return memory == MAP_FAILED ? nullptr : memory;
+}
 
 ExchangeHeader* exchange() noexcept {
   ExchangeHeader* header = mapping();

@@ -1,6 +1,7 @@
 // The program's side of exchange.h: the mapping, its counters, its slots.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 
 #include "exchange.h"
@@ -20,6 +21,10 @@ template <typename T>
 T add(T& place, T value) noexcept {
   return __atomic_fetch_add(&place, value, __ATOMIC_ACQ_REL);
 }
+
+// Maps a file of so many bytes that embree-trace shares with its programs, to read and write; null when it is another one, or
+// not there. Leaves errno as it is.
+void* map_shared(const char* path, std::size_t bytes) noexcept;
 
 // The mapping; null when this process is not recorded, or no longer.
 ExchangeHeader* exchange() noexcept;
