@@ -64,22 +64,22 @@ mod tests {
     use crate::geometry::{Ray, Vec3};
     use crate::tree::{Node, Tree};
 
-    /// A node over two leaves: one block of one triangle, and two blocks of five.
+    /// A node over two leaves: one block of four triangles, and two blocks of five.
     #[test]
     fn what_is_read_again_is_no_miss() {
         let triangle =
             |x: f32| Triangle([Vec3::new(x, 0.0, 0.0), Vec3::new(x, 4.0, 0.0), Vec3::new(x, 0.0, 4.0)]);
-        let triangles: Vec<Triangle> = (0..6u8).map(|x| triangle(x.into())).collect();
+        let triangles: Vec<Triangle> = (0..9u8).map(|x| triangle(x.into())).collect();
         let bounds = |range: &[Triangle]| {
             range.iter().map(Triangle::bounds).reduce(|a, b| a.union(&b)).expect("one at least")
         };
         let tree = Tree {
             nodes: vec![
                 Node::inner(bounds(&triangles), 1, 2),
-                Node::leaf(bounds(&triangles[..1]), 0, 1),
-                Node::leaf(bounds(&triangles[1..]), 1, 5),
+                Node::leaf(bounds(&triangles[..4]), 0, 4),
+                Node::leaf(bounds(&triangles[4..]), 4, 5),
             ],
-            primitives: (0..6).collect(),
+            primitives: (0..9).collect(),
         };
         // Occluded by the first triangle, or by none.
         let query = |y: f32| {
