@@ -133,7 +133,7 @@ impl TreeResult {
         costs.expected(total.queries, &total.overlap)
     }
 
-    /// See [`Tally::leaf_count_variability`].
+    /// See [`crate::replay::tally::Tally::leaf_count_variability`].
     pub fn leaf_count_variability(&self) -> f64 {
         self.overlap().tallies.total.leaf_count_variability()
     }
