@@ -8,7 +8,7 @@ use image::{DynamicImage, ImageReader, Rgb, RgbImage};
 use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 /// How a file differs from that of the first run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -75,13 +75,12 @@ impl Outputs {
                 picture: None,
             },
         });
-        Outputs { files: files.collect(), kept: kept.to_owned(), started: SystemTime::now() }
+        Outputs { files: files.collect(), kept: kept.to_owned(), started: start() }
     }
 
     /// A run begins: files that are older were not written by it.
     pub fn before_run(&mut self) {
-        // A file system may count in steps of some milliseconds, and begin before the clock does.
-        self.started = SystemTime::now() - std::time::Duration::from_millis(20);
+        self.started = start();
     }
 
     /// A run on Embree's trees has ended.
@@ -165,6 +164,11 @@ impl Outputs {
         fs::copy(&self.files[number].path, &to).map_err(|error| FileError::new(&to, "write", error))?;
         Ok(to)
     }
+}
+
+/// Now, as a file's time may say it: file systems count in steps of some milliseconds, and those behind the clock.
+fn start() -> SystemTime {
+    SystemTime::now() - Duration::from_millis(20)
 }
 
 /// A picture, whatever its name ends with.
@@ -268,7 +272,7 @@ mod tests {
         outputs.plain().expect("there");
         fs::write(&path, "b").expect("written");
         outputs.planted().expect("there");
-        std::thread::sleep(std::time::Duration::from_millis(60));
+        std::thread::sleep(Duration::from_millis(60));
         outputs.before_run();
         assert!(outputs.planted().is_err(), "it is old");
         let output = outputs.finish().remove(0);
