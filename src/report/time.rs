@@ -66,10 +66,11 @@ pub(crate) fn rows(comparison: &Comparison, recording: &RecordingResult) -> Vec<
         for (time, name) in times.trees.iter().zip(names) {
             rows.push(row(timing, name, "Embree".to_owned(), time.as_ref(), base));
         }
-        let library = format!("Embree {}", version(kernels.version));
+        let library = format!("{} {}", version(kernels.version), kernels.isa).trim_end().to_owned();
         for (time, quality) in times.own.iter().zip(&kernels.own) {
-            let order = format!("{} {quality}", kernels.isa).trim_start().to_owned();
-            rows.push(row(timing, library.clone(), order, time.as_ref(), base));
+            // What it is stands in the wider column.
+            let order = format!("{library} {quality}");
+            rows.push(row(timing, "Embree".to_owned(), order, time.as_ref(), base));
         }
     }
     rows
