@@ -1,50 +1,25 @@
-// Embree passes a filter nothing that would lead to the wrapped one, so each function of the
-// program gets a wrapper of its own out of a fixed number; programs have few.
+// A recorded scene's geometries -> their filter functions, each in a wrapper.
 #include "host_filters.hpp"
 
-#include <algorithm>
-#include <array>
-#include <atomic>
+#include <memory>
 #include <mutex>
 #include <unordered_map>
-#include <utility>
+
+#include "filter_wrappers.hpp"
 
 namespace shim {
 namespace {
 
-constexpr std::size_t most_filters = 128;
-std::atomic<RTCFilterFunctionN> filters[most_filters];
-
-template <std::size_t number>
-void wrapper(const RTCFilterFunctionNArguments* arguments) {
-  const RTCFilterFunctionN filter = filters[number].load(std::memory_order_relaxed);
+void watch(const RTCFilterFunctionNArguments& arguments, RTCFilterFunctionN filter) {
   FilterWatch* watch = filter_watch();
-  watch == nullptr ? filter(arguments) : watch->see(*arguments, filter);
+  watch == nullptr ? filter(&arguments) : watch->see(arguments, filter);
 }
 
-template <std::size_t... numbers>
-constexpr std::array<RTCFilterFunctionN, most_filters> make_wrappers(
-    std::index_sequence<numbers...>) {
-  return {&wrapper<numbers>...};
-}
-constexpr auto wrappers = make_wrappers(std::make_index_sequence<most_filters>());
+using Wrappers = FilterWrappers<RTCFilterFunctionNArguments, &watch>;
 
 RTCFilterFunctionN wrapped(RTCFilterFunctionN filter) {
-  for (std::size_t number = 0; number < most_filters; number++) {
-    if (wrappers[number] == filter) return filter;
-    RTCFilterFunctionN there = filters[number].load(std::memory_order_acquire);
-    if (there == nullptr && filters[number].compare_exchange_strong(there, filter)) there = filter;
-    if (there == filter) return wrappers[number];
-  }
+  if (const RTCFilterFunctionN wrapper = Wrappers::wrapped(filter)) return wrapper;
   throw Doubt("the program has more than 128 filter functions");
-}
-
-// What a wrapper wraps; null for what is none.
-RTCFilterFunctionN unwrapped(RTCFilterFunctionN filter) noexcept {
-  for (std::size_t number = 0; number < most_filters; number++) {
-    if (wrappers[number] == filter) return filters[number].load(std::memory_order_acquire);
-  }
-  return nullptr;
 }
 
 // How many recordings have a geometry's filters wrapped: scenes may share it.
@@ -100,10 +75,10 @@ void HostFilters::unwrap() noexcept {
     const auto found = uses.find(geometry);
     if (--found->second == 0) {
       uses.erase(found);
-      if (const auto filter = unwrapped(filter_at(geometry, places_.intersect))) {
+      if (const auto filter = Wrappers::unwrapped(filter_at(geometry, places_.intersect))) {
         rtcSetGeometryIntersectFilterFunction(geometry, filter);
       }
-      if (const auto filter = unwrapped(filter_at(geometry, places_.occluded))) {
+      if (const auto filter = Wrappers::unwrapped(filter_at(geometry, places_.occluded))) {
         rtcSetGeometryOccludedFilterFunction(geometry, filter);
       }
     }

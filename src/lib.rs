@@ -45,6 +45,7 @@ pub mod files;
 pub mod format;
 pub mod geometry;
 pub mod inspect;
+mod median;
 pub mod mesh;
 pub mod optimize;
 #[cfg(feature = "embree")]

@@ -15,7 +15,6 @@ use crate::format::FormatError;
 use crate::format::rays::Codec;
 use crate::progress::Progress;
 use crate::recipe::RecipeError;
-use crate::record::program::purpose::Rules;
 use crate::record::program::select::Selection;
 use crate::record::program::timed::{self, Timed};
 use crate::record::program::trees::Wanted;
@@ -46,9 +45,6 @@ pub struct Options {
     pub outputs: Vec<PathBuf>,
     /// Whether triangles may be cut, and stand in several leaves. They never are where the program's filters refuse hits.
     pub cuts: bool,
-    /// By the program's name when `None`.
-    pub rules: Option<Rules>,
-    pub max_triangles: u32,
 }
 
 /// Why nothing was tuned.
@@ -170,8 +166,8 @@ fn record(
         bvh: kept.join("built.bvh"),
         codec: Codec::Raw,
         selection: Selection { every, ..Selection::default() },
-        rules: options.rules,
-        max_triangles: options.max_triangles,
+        rules: None,
+        max_triangles: program::MOST_TRIANGLES,
         wanted: Wanted::default(),
     })?)
 }

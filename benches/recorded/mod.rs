@@ -2,7 +2,7 @@
 
 use embree_trace::embree::{Scene, Settings, TreeSource};
 use embree_trace::files::MappedFile;
-use embree_trace::format::bvh::{self, Bvh, Contents};
+use embree_trace::format::bvh::{self, Bvh};
 use embree_trace::format::rays::{Codec, Header, Rays};
 use embree_trace::geometry::{Aabb, Vec3};
 use embree_trace::mesh::Mesh;
@@ -34,16 +34,7 @@ impl Recording {
         let folder = tempfile::tempdir()?;
         let [bvh_path, rays_path] = ["built.bvh", "casts.rays"].map(|name| folder.path().join(name));
         let built = scene.tree(TreeSource::Live)?;
-        let contents = Contents {
-            tree: built.tree.view(),
-            triangles: &built.triangles,
-            geometries: &built.geometries,
-            order: None,
-            meta: None,
-            flags: built.flags,
-            producer: &built.producer,
-        };
-        let fingerprint = bvh::write(File::create(&bvh_path)?, &contents)?;
+        let fingerprint = bvh::write(File::create(&bvh_path)?, &built.contents())?;
         let job = Job {
             width: size[0],
             height: size[1],

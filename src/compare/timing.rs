@@ -12,6 +12,7 @@ use super::{Candidate, CompareError, Recording, Settings};
 use crate::format::FormatError;
 use crate::format::rays::{MAX_CHUNK_RECORDS, Purpose, Record, Reject};
 use crate::geometry::Ray;
+use crate::median::median;
 use crate::replay::query::{Choice, Query};
 use crate::replay::sort::Sort;
 use crate::replay::tally::{Cell, cell};
@@ -41,13 +42,7 @@ pub struct Seconds {
 
 impl Seconds {
     fn of(mut rounds: Vec<f64>) -> Seconds {
-        rounds.sort_by(f64::total_cmp);
-        let middle = rounds.len() / 2;
-        let median = match rounds.len() {
-            0 => return Seconds::default(),
-            count if count % 2 == 1 => rounds[middle],
-            _ => (rounds[middle - 1] + rounds[middle]) / 2.0,
-        };
+        let Some(median) = median(&mut rounds) else { return Seconds::default() };
         Seconds { median, least: rounds[0], greatest: rounds[rounds.len() - 1] }
     }
 }

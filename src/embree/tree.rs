@@ -1,7 +1,7 @@
 //! Trees out of Embree: the one that it traverses, read from its memory, or that of `rtcBuildBVH`.
 
 use super::{EmbreeError, Scene, ffi};
-use crate::format::bvh::Geometry;
+use crate::format::bvh::{Contents, Geometry};
 use crate::geometry::Triangle;
 use crate::tree::{Node, Tree};
 use std::ptr::NonNull;
@@ -56,6 +56,21 @@ pub struct BuiltTree {
     pub flags: u32,
     /// One line about what is not as was asked for: which check of the live tree failed, or what was left out.
     pub warning: Option<String>,
+}
+
+impl BuiltTree {
+    /// What its file holds; a `META` is the caller's to add.
+    pub fn contents(&self) -> Contents<'_> {
+        Contents {
+            tree: self.tree.view(),
+            triangles: &self.triangles,
+            geometries: &self.geometries,
+            order: self.order.as_deref(),
+            meta: None,
+            flags: self.flags,
+            producer: &self.producer,
+        }
+    }
 }
 
 impl Scene {

@@ -9,7 +9,7 @@
 use crate::embree::BuiltTree;
 use crate::embree::host::{Ended, HostError, HostScene, HostSink};
 use crate::files::{self, FileError, OutputFile};
-use crate::format::bvh::{self, Contents};
+use crate::format::bvh;
 use crate::format::rays::{ChunkInfo, Codec, Header, MAX_CHUNK_RECORDS, RaysWriter, Record, Reject, Totals};
 use std::fs::{self, File};
 use std::io;
@@ -183,16 +183,7 @@ fn remove(path: &Path) {
 
 /// Writes a scene's tree; returns its fingerprint.
 fn write_tree(file: OutputFile, built: &BuiltTree) -> Result<u64, FileError> {
-    let contents = Contents {
-        tree: built.tree.view(),
-        triangles: &built.triangles,
-        geometries: &built.geometries,
-        order: None,
-        meta: None,
-        flags: built.flags,
-        producer: &built.producer,
-    };
-    file.commit_with(|out| bvh::write(out, &contents))
+    file.commit_with(|out| bvh::write(out, &built.contents()))
 }
 
 /// The writing thread. Returns, with an error, what had been written before it.

@@ -42,6 +42,8 @@ use trees::{Trees, TreesError, Wanted};
 const LIBRARY: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/preload.so"));
 /// Set for the program: the path of the exchange.
 const VARIABLE: &str = "EMBREE_TRACE_EXCHANGE";
+/// A scene with more triangles, once its instances are flattened, gets no tree where nothing else is said.
+pub const MOST_TRIANGLES: u32 = 100_000_000;
 /// How long to wait when the program has handed over nothing.
 const PAUSE: Duration = Duration::from_millis(1);
 
@@ -153,7 +155,7 @@ pub fn record(options: &Options) -> Result<Report, ProgramError> {
         codec: options.codec,
         max_triangles: options.max_triangles,
         command: command.map(|word| word.to_string_lossy().into_owned()).collect(),
-        planted: trees.as_ref().map(Trees::files).unwrap_or_default(),
+        planted: trees.as_ref().map(Trees::candidates).unwrap_or_default(),
     };
     let failed = |records, error| match error {
         CollectError::Rays(source) => {

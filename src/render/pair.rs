@@ -1,6 +1,6 @@
 //! A recording and its tree: the `.bvh` of a scene as it is committed now, and a recorder whose `.rays` belongs to it.
 
-use crate::embree::{BuiltTree, EmbreeError, Scene, TreeSource};
+use crate::embree::{EmbreeError, Scene, TreeSource};
 use crate::files::{self, FileError, OutputFile};
 use crate::format::bvh::{self, Contents};
 use crate::format::rays::{Codec, Header};
@@ -33,7 +33,7 @@ pub enum PairError {
 pub struct Started {
     pub recorder: Recorder,
     pub tree: TreeLine,
-    /// What is not as was asked for ([`BuiltTree::warning`]).
+    /// What is not as was asked for ([`crate::embree::BuiltTree::warning`]).
     pub warning: Option<String>,
 }
 
@@ -50,21 +50,12 @@ impl Pair<'_> {
     ) -> Result<Started, PairError> {
         // The file of rays first: the tree must not replace an old one when there will be no rays.
         let out = files::create(self.rays)?;
-        let BuiltTree { tree, triangles, geometries, order, producer, flags, warning } =
-            scene.tree(self.source)?;
+        let built = scene.tree(self.source)?;
         let meta = meta.to_string();
-        let contents = Contents {
-            tree: tree.view(),
-            triangles: &triangles,
-            geometries: &geometries,
-            order: order.as_deref(),
-            meta: Some(&meta),
-            flags,
-            producer: &producer,
-        };
+        let contents = Contents { meta: Some(&meta), ..built.contents() };
         let fingerprint = OutputFile::create(self.bvh)?.commit_with(|out| bvh::write(out, &contents))?;
         let bytes = std::fs::metadata(self.bvh).map_or(0, |metadata| metadata.len());
-        let tree = TreeLine::new(self.bvh.display().to_string(), bytes, producer, tree.view());
+        let tree = TreeLine::new(self.bvh.display().to_string(), bytes, built.producer, built.tree.view());
         let header = Header {
             fingerprint,
             embree_version: Scene::version(),
@@ -73,7 +64,7 @@ impl Pair<'_> {
         };
         let recorder =
             Recorder::start(out, &header, self.codec, threads).map_err(|source| self.rays_error(source))?;
-        Ok(Started { recorder, tree, warning })
+        Ok(Started { recorder, tree, warning: built.warning })
     }
 
     /// Ends the recording.

@@ -3,7 +3,7 @@
 use super::{Options, TuneError};
 use crate::cost::Costs;
 use crate::files::{MappedFile, OutputFile};
-use crate::format::bvh::{Bvh, flag};
+use crate::format::bvh::Bvh;
 use crate::format::rays::Rays;
 use crate::progress::Progress;
 use crate::recipe::best;
@@ -99,7 +99,7 @@ impl Building<'_> {
         let bytes = MappedFile::open(path)?;
         let format_error = |source| TuneError::Format { path: path.to_owned(), source };
         let bvh = Bvh::parse(&bytes).map_err(format_error)?;
-        if bvh.header.flags & flag::FLATTENED != 0 || !done.insert(bvh.header.fingerprint) {
+        if !done.insert(bvh.header.fingerprint) {
             return Ok(());
         }
         let selection = Selection {

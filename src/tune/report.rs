@@ -4,9 +4,11 @@ use super::build::{Built, BuiltTree};
 use super::outputs::Output;
 use super::{Options, TuneError};
 use crate::files::{FileError, OutputFile};
-use crate::record::program::clocks::{KindTime, SceneTime};
+use crate::median::median;
+use crate::record::program::clocks::{KindTime, SceneKey, SceneTime};
 use crate::record::program::report::Report as Recorded;
 use crate::record::program::timed::Timed;
+use crate::record::program::trees::PlantedScene;
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::fmt;
@@ -47,17 +49,6 @@ impl Measure {
             least: ratios[0],
             greatest: ratios[ratios.len() - 1],
         })
-    }
-}
-
-/// Sorts; `None` of nothing.
-fn median(values: &mut [f64]) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    let middle = values.len() / 2;
-    match values.len() {
-        0 => None,
-        count if count % 2 == 1 => Some(values[middle]),
-        _ => Some((values[middle - 1] + values[middle]) / 2.0),
     }
 }
 
@@ -213,20 +204,16 @@ fn scene_row(tree: &BuiltTree, rounds: &[Round]) -> SceneRow {
     let mut planting_seconds = Vec::new();
     let mut is_planted = true;
     for Round { plain, planted } in rounds {
-        let here = planted.planting.scenes.iter().filter(|scene| scene.tree.as_deref() == Some(&path));
-        let here: Vec<(u32, u32)> = here.map(|scene| (scene.process, scene.scene)).collect();
+        let is_ours = |scene: &&PlantedScene| scene.tree.as_deref() == Some(&path);
+        let here: Vec<&PlantedScene> = planted.planting.scenes.iter().filter(is_ours).collect();
         is_planted &= !here.is_empty();
-        let of_tree = |scene: &&crate::record::program::trees::PlantedScene| {
-            here.contains(&(scene.process, scene.scene))
+        planting_seconds.push(here.iter().map(|scene| scene.seconds).sum::<f64>());
+        let is_here = |key: &SceneKey| {
+            key.geometry != 0
+                && here.iter().any(|scene| (scene.process, scene.scene) == (key.process, key.scene))
         };
-        planting_seconds
-            .push(planted.planting.scenes.iter().filter(of_tree).map(|scene| scene.seconds).sum::<f64>());
-        let geometries: BTreeSet<u64> = planted
-            .times
-            .keys()
-            .filter(|key| key.geometry != 0 && here.contains(&(key.process, key.scene)))
-            .map(|key| key.geometry)
-            .collect();
+        let geometries: BTreeSet<u64> =
+            planted.times.keys().filter(|key| is_here(key)).map(|key| key.geometry).collect();
         let sum = |timed: &Timed| {
             let mut sum = SceneTime::default();
             for (_, time) in timed.times.iter().filter(|(key, _)| geometries.contains(&key.geometry)) {

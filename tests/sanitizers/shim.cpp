@@ -18,35 +18,15 @@
 #include <thread>
 #include <vector>
 
+#include "check.hpp"
+
 namespace {
 
 constexpr unsigned thread_count = 8;
 constexpr float infinity = std::numeric_limits<float>::infinity();
 constexpr float nan = std::numeric_limits<float>::quiet_NaN();
 
-#define CHECK(holds)                                                            \
-  do {                                                                          \
-    if (!(holds)) {                                                             \
-      std::fprintf(stderr, "%s:%d: does not hold: %s\n", __FILE__, __LINE__, #holds); \
-      std::exit(1);                                                             \
-    }                                                                           \
-  } while (false)
-
-// SplitMix64 (Steele, Lea and Flood 2014).
-class Random {
- public:
-  explicit Random(std::uint64_t seed) : state_(seed) {}
-  std::uint64_t bits() {
-    std::uint64_t z = state_ += 0x9E3779B97F4A7C15ull;
-    z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9ull;
-    z = (z ^ z >> 27) * 0x94D049BB133111EBull;
-    return z ^ z >> 31;
-  }
-  float unit() { return static_cast<float>(bits() >> 40) / static_cast<float>(1 << 24); }
-
- private:
-  std::uint64_t state_;
-};
+using checks::Random;
 
 // Triangles in the square [0,1] x [0,1] at z = 0, quads in [1,2] x [0,1] at z = -1: seen from above, a hit is known by where
 // the query starts. Then a part without faces, and one whose only face Embree drops.

@@ -1,11 +1,11 @@
 // A program that has nothing but Embree's API and embree_trace/plant.h, for tests/c_library.rs.
 //
-//   host record FLAGS CONFIG       asks in every way, records into casts.rays and built.bvh, and
-//   writes what it asked and was
-//                                  answered into asked.bin
-//   host plant FLAGS CONFIG TREE   plants, asks, gives back, in every order; prints what it planted
-//   host files FLAGS CONFIG        plants every file that is named on its standard input; prints
-//   what became of each host states FLAGS CONFIG TREE  everything that is not possible
+//   host record FLAGS CONFIG        asks in every way, records into casts.rays and built.bvh, and
+//                                   writes what it asked and was answered into asked.bin
+//   host plant FLAGS CONFIG TREE    plants, asks, gives back, in every order; prints what it planted
+//   host files FLAGS CONFIG         plants every file that is named on its standard input; prints
+//                                   what became of each
+//   host states FLAGS CONFIG TREE   everything that is not possible
 //
 // Whatever is planted, the answers are those of Embree's own tree.
 #include <embree3/rtcore.h>
@@ -28,33 +28,12 @@
 #include <utility>
 #include <vector>
 
+#define CHECK_SAID et_error_message()
+#include "../../../tests/sanitizers/check.hpp"
+
 namespace {
 
-#define CHECK(holds)                                                                     \
-  do {                                                                                   \
-    if (!(holds)) {                                                                      \
-      std::fprintf(stderr, "%s:%d: does not hold: %s: %s\n", __FILE__, __LINE__, #holds, \
-                   et_error_message());                                                  \
-      std::exit(1);                                                                      \
-    }                                                                                    \
-  } while (false)
-
-// SplitMix64 (Steele, Lea and Flood 2014).
-class Random {
- public:
-  explicit Random(std::uint64_t seed) : state_(seed) {}
-  std::uint64_t bits() {
-    std::uint64_t z = state_ += 0x9E3779B97F4A7C15ull;
-    z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9ull;
-    z = (z ^ z >> 27) * 0x94D049BB133111EBull;
-    return z ^ z >> 31;
-  }
-  float unit() { return static_cast<float>(bits() >> 40) / static_cast<float>(1 << 24); }
-  float signed_unit() { return 2 * unit() - 1; }
-
- private:
-  std::uint64_t state_;
-};
+using checks::Random;
 
 // What a query asked and was answered, as the program itself sees it.
 struct Asked {

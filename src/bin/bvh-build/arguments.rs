@@ -116,7 +116,7 @@ pub struct Arguments {
     pub iterations: u32,
     /// Optimisers stop after so many seconds from the start of the build, and auto tries no more (30 by default). What they reach in a time
     /// differs from run to run: without it, the same input gives the same tree
-    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    #[arg(long, value_name = "SECONDS", value_parser = cli::seconds, allow_negative_numbers = true)]
     pub budget: Option<Duration>,
     /// Choose a traversal order for the occlusion queries of every node from the recorded ones, and store it (section ORDR);
     /// says what they cost in every order, on the training queries and on the others
@@ -208,11 +208,6 @@ fn share(text: &str) -> Result<f64, String> {
         Ok(share) if share > 0.0 && share <= 1.0 => Ok(share),
         _ => Err("expected a number above 0 and at most 1".into()),
     }
-}
-
-fn seconds(text: &str) -> Result<Duration, String> {
-    let seconds = text.parse::<f64>().ok().and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
-    seconds.ok_or_else(|| "expected a number of seconds, not negative".into())
 }
 
 impl Arguments {

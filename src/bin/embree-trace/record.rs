@@ -67,7 +67,7 @@ struct Arguments {
     #[arg(long, value_enum, env = "EMBREE_TRACE_PURPOSES")]
     purposes: Option<Purposes>,
     /// Writes no tree for a scene with more triangles, once its instances are flattened
-    #[arg(long, value_name = "N", default_value_t = 100_000_000, env = "EMBREE_TRACE_MAX_TRIANGLES")]
+    #[arg(long, value_name = "N", default_value_t = program::MOST_TRIANGLES, env = "EMBREE_TRACE_MAX_TRIANGLES")]
     max_triangles: u32,
     #[command(flatten)]
     trees: TreeArguments,

@@ -82,8 +82,6 @@ fn run(arguments: Arguments) -> Result<Outcome, Failure> {
         rounds: arguments.rounds,
         outputs: arguments.output,
         cuts: !arguments.no_splits,
-        rules: None,
-        max_triangles: 100_000_000,
     })?;
     match arguments.format {
         TextOrJson::Text => {

@@ -7,7 +7,7 @@ use super::exchange::{Batch, Exchange};
 use super::flatten::{Flattened, flatten};
 use super::report::{LeftOut, SceneLine};
 use super::select::{Run, Selector};
-use super::trees::order_of;
+use super::trees::{Candidate, order_of};
 use crate::files::{FileError, OutputFile};
 use crate::format::bvh::{self, Contents};
 use crate::format::rays::{ChunkInfo, Codec, Header, RaysWriter, Totals, encode_chunk};
@@ -29,7 +29,7 @@ pub struct Target {
     /// As it was called, for `META`.
     pub command: Vec<String>,
     /// Trees that may have been planted.
-    pub planted: Vec<PathBuf>,
+    pub planted: Vec<Candidate>,
 }
 
 /// See the module.

@@ -60,6 +60,7 @@ pub enum TreesError {
 pub struct Trees {
     /// In the order of the table; first those that were named one by one.
     paths: Vec<String>,
+    candidates: Vec<Candidate>,
     named: usize,
     table: File,
     outcomes: File,
@@ -76,6 +77,7 @@ impl Trees {
     pub fn new(wanted: &Wanted) -> Result<Trees, TreesError> {
         let mut trees = Trees {
             paths: Vec::new(),
+            candidates: Vec::new(),
             named: 0,
             table: memory_file(c"embree-trace trees")?,
             outcomes: memory_file(c"embree-trace outcomes")?,
@@ -87,6 +89,12 @@ impl Trees {
         for (number, path) in wanted.trees.iter().chain(&found).enumerate() {
             match entry(path) {
                 Ok(entry) => {
+                    trees.candidates.push(Candidate {
+                        path: path.clone(),
+                        nodes: entry.node_count as usize,
+                        primitives: entry.primitive_count as usize,
+                        triangles: entry.triangle_count as usize,
+                    });
                     entries.push(entry);
                     trees.paths.push(path.display().to_string());
                     trees.named += usize::from(number < wanted.trees.len());
@@ -118,9 +126,9 @@ impl Trees {
         path_of(&self.table)
     }
 
-    /// The files that may be planted.
-    pub fn files(&self) -> Vec<PathBuf> {
-        self.paths.iter().map(PathBuf::from).collect()
+    /// The trees that may be planted.
+    pub fn candidates(&self) -> Vec<Candidate> {
+        self.candidates.clone()
     }
 
     /// What became of the scenes until now.
@@ -243,11 +251,22 @@ pub struct PlantedScene {
     pub left_out: Option<String>,
 }
 
-/// In which order occlusion queries visit the children of `tree`, over `triangles`, where it is one of `files` that was planted and is read back: its
-/// section `ORDR`, which memory does not hold.
-pub fn order_of(files: &[PathBuf], tree: TreeView, triangles: &[Triangle]) -> Option<Vec<u8>> {
-    files.iter().find_map(|path| {
-        let bytes = MappedFile::open(path).ok()?;
+/// A tree that may be planted, and how large it is.
+#[derive(Clone, Debug)]
+pub struct Candidate {
+    path: PathBuf,
+    nodes: usize,
+    primitives: usize,
+    triangles: usize,
+}
+
+/// In which order occlusion queries visit the children of `tree`, over `triangles`, where it is one of `candidates` that was
+/// planted and is read back: its section `ORDR`, which memory does not hold. Only files of the same sizes are read.
+pub fn order_of(candidates: &[Candidate], tree: TreeView, triangles: &[Triangle]) -> Option<Vec<u8>> {
+    let sizes = (tree.nodes.len(), tree.primitives.len(), triangles.len());
+    let fits = |candidate: &&Candidate| (candidate.nodes, candidate.primitives, candidate.triangles) == sizes;
+    candidates.iter().filter(fits).find_map(|candidate| {
+        let bytes = MappedFile::open(&candidate.path).ok()?;
         let bvh = Bvh::parse(&bytes).ok()?;
         let is_same = bvh.tree.nodes == tree.nodes
             && bvh.tree.primitives == tree.primitives
