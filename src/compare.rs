@@ -9,6 +9,7 @@ pub mod explained;
 pub mod fit;
 pub mod kernels;
 pub mod limit;
+pub mod reports;
 pub mod timing;
 mod verdict;
 

@@ -2,7 +2,7 @@
 //! which trees are chosen, and which is reported first.
 //!
 //! Data flows so: a traversal counts ([`Counts`]), [`Costs`] has the constants of a width and of a kind of query, [`Constants::of`] makes
-//! nanoseconds of both. With [`cache`], the misses of a simulated cache are counted beside, where somebody asks for them.
+//! nanoseconds of both. [`counter`] counts with the misses of a simulated [`cache`] beside, where somebody asks for them.
 //!
 //! The default constants are the same on every machine, so that the same input gives the same tree. Those of eight children a node are of a study
 //! of Embree's kernels on some 35 planted trees for each of six scenes (one Zen 5 core, recordings that no tree was made from):
@@ -13,6 +13,7 @@
 //! with 20 ns a miss. What was measured elsewhere is read from a file ([`Costs::parse`]).
 
 pub mod cache;
+pub mod counter;
 mod file;
 
 pub use file::CostsError;

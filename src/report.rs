@@ -1,6 +1,7 @@
 //! Results for people and scripts: a comparison as tables, JSON, CSV, heat maps and a page; plots that could go in a paper.
 
 pub mod circumstances;
+pub mod costs;
 pub mod csv;
 pub mod heatmap;
 pub mod html;
@@ -13,6 +14,7 @@ pub mod plot;
 pub mod table;
 mod time;
 
+pub(crate) use crate::compare::kernels::version;
 use crate::compare::{Comparison, RecordingResult, depth_name, kind_name};
 use crate::replay::tally::{GAMMA_UNITS, Tallies, Tally};
 
@@ -84,11 +86,6 @@ pub(crate) fn tree_names(comparison: &Comparison) -> Vec<String> {
         if unique { (*name).to_owned() } else { format!("{}: {name}", index + 1) }
     };
     stems.iter().enumerate().map(name).collect()
-}
-
-/// 31305 as 3.13.5.
-pub(crate) fn version(number: u32) -> String {
-    format!("{}.{}.{}", number / 10_000, number / 100 % 100, number % 100)
 }
 
 /// 1234567 as 1,234,567.

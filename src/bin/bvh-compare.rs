@@ -3,8 +3,10 @@
 use clap::{Parser, ValueEnum};
 use embree_trace::cli::{self, Failure, Outcome};
 use embree_trace::compare::baseline::Baseline;
-use embree_trace::compare::kernels::Wanted;
+use embree_trace::compare::explained;
+use embree_trace::compare::kernels::{Kernels, Wanted};
 use embree_trace::compare::limit::Metric;
+use embree_trace::compare::reports::Observed;
 use embree_trace::compare::{self, Allowed, Candidate, Comparison, Recording, Settings};
 #[cfg(feature = "embree")]
 use embree_trace::embree::Isa;
@@ -20,6 +22,7 @@ use embree_trace::replay::select::{Filter, Portion};
 use embree_trace::replay::sort::Sort;
 use embree_trace::replay::tally::Costs;
 use embree_trace::report::circumstances::Circumstances;
+use embree_trace::report::costs::{self, CostsFile};
 use embree_trace::report::{csv, heatmap, html, json, table};
 use embree_trace::traverse::packet::MOST;
 use embree_trace::traverse::{OrderName, Traversal};
@@ -43,7 +46,8 @@ Examples:
   bvh-compare built.bvh ours.bvh casts.rays --packet 64 --sort direction --time
   bvh-compare built.bvh ours.bvh casts.rays --html report.html
   bvh-compare built.bvh ours.bvh casts.rays --time --robust
-  bvh-compare built.bvh ours.bvh casts.rays --fit --rounds 9
+  bvh-compare built.bvh area.bvh *.ours.bvh casts.rays --fit --fit-costs costs.json --rounds 9
+  bvh-compare --fit-reports sponza.json bunny.json --fit-costs costs.json
   mpirun -n 4 bvh-compare --mpi built.bvh ours.bvh casts.rays
 
 Filters are conditions joined by commas: purpose=camera+diffuse (unknown, camera, shadow, ao, diffuse,
@@ -56,7 +60,7 @@ Exit code 0: every answer is right. 1: a wrong answer (\"failed:\"), or a tree a
 #[command(name = PROGRAM, version, after_help = EXAMPLES, override_usage = "bvh-compare [OPTIONS] <BVH>... <RAYS>...")]
 struct Arguments {
     /// One or more trees (.bvh), then one or more recordings (.rays) of their scene, each reported apart
-    #[arg(required = true, num_args = 2.., value_names = ["BVH", "RAYS"])]
+    #[arg(required_unless_present = "fit_reports", num_args = 2.., value_names = ["BVH", "RAYS"])]
     files: Vec<PathBuf>,
 
     /// Orders of traversal; the first one decides --fail-above
@@ -167,10 +171,19 @@ struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     rounds: u32,
 
-    /// Also fit what a visit, a box test and a primitive test cost to measured times, and say how measures rank the trees;
-    /// measures as --time does
+    /// Also fit what a visit, a leaf, a block of triangles and a cache miss cost to measured times, by kind and width, of our traversal and of
+    /// Embree's kernels, and say how measures rank the trees; measures as --time does
     #[arg(long)]
     fit: bool,
+
+    /// Write the fitted costs to FILE, as --costs of this command and of bvh-build reads it: of Embree's kernels where they follow the trees, else of
+    /// our traversal; fits as --fit does
+    #[arg(long, value_name = "FILE")]
+    fit_costs: Option<PathBuf>,
+
+    /// In place of trees and rays: fit costs to what earlier reports of --fit --format json observed, all scenes together
+    #[arg(long, value_name = "REPORT", num_args = 1.., conflicts_with_all = ["files", "mpi", "html", "heatmap"])]
+    fit_reports: Vec<PathBuf>,
 
     /// Write a picture of the cost per pixel for each tree and traversal to DIR
     #[arg(long, value_name = "DIR")]
@@ -191,9 +204,9 @@ struct Arguments {
 
 /// What one process does by itself.
 #[cfg(feature = "embree")]
-const ALONE: [&str; 3] = ["time", "fit", "embree"];
+const ALONE: [&str; 4] = ["time", "fit", "fit_costs", "embree"];
 #[cfg(not(feature = "embree"))]
-const ALONE: [&str; 2] = ["time", "fit"];
+const ALONE: [&str; 3] = ["time", "fit", "fit_costs"];
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
@@ -227,6 +240,9 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
+    if !arguments.fit_reports.is_empty() {
+        return fit_reports(arguments);
+    }
     let prints = ranks.rank() == 0;
     let files = arguments.files.iter().map(|path| MappedFile::open(path)).collect::<Result<Vec<_>, _>>()?;
     // The recordings are the last files; the first is a tree and the last a recording, or the error says what they are.
@@ -285,7 +301,7 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
         profile: arguments.details || arguments.html.is_some(),
         kernels: arguments.kernels(),
         rounds: arguments.is_timed().then_some(arguments.rounds),
-        fit: arguments.fit,
+        fit: arguments.fits(),
     };
     let queries: u64 = rays.iter().map(Rays::query_count).sum();
     let replays = trees.len() * settings.traversals.len() + usize::from(settings.kernels.is_some());
@@ -311,7 +327,11 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
 impl Arguments {
     /// Whether times are wanted, for themselves or for what is made of them.
     fn is_timed(&self) -> bool {
-        self.time || self.fit || (self.fail_above.is_some() && self.fail_metric == Metric::Nanoseconds)
+        self.time || self.fits() || (self.fail_above.is_some() && self.fail_metric == Metric::Nanoseconds)
+    }
+
+    fn fits(&self) -> bool {
+        self.fit || self.fit_costs.is_some()
     }
 
     /// Which of Embree's kernels to ask, if any.
@@ -335,12 +355,52 @@ fn print(arguments: &Arguments, comparison: &Comparison, failures: &[String]) ->
     if let Some(path) = &arguments.html {
         write_page(path, comparison, failures)?;
     }
+    if let Some(path) = &arguments.fit_costs {
+        let measured =
+            comparison.recordings.iter().map(|recording| explained::measured(comparison, recording));
+        let kernels = comparison.kernels.as_ref().and_then(|kernels| kernels.as_ref().ok());
+        let fits = explained::fitted(&explained::together(measured));
+        write_costs(path, &fits, kernels.map(Kernels::name))?;
+    }
     let text = match arguments.format {
         Format::Table => table::render(comparison, arguments.details),
         Format::Json => json::render(comparison, failures)? + "\n",
         Format::Csv => csv::render(comparison),
     };
     std::io::stdout().lock().write_all(text.as_bytes())?;
+    Ok(())
+}
+
+/// Fits costs to what earlier reports observed, all of them together.
+fn fit_reports(arguments: &Arguments) -> Result<Outcome, Failure> {
+    let (mut measured, mut kernels) = (Vec::new(), None);
+    for path in &arguments.fit_reports {
+        let bytes = MappedFile::open(path)?;
+        let text = std::str::from_utf8(&bytes).map_err(|error| Failure::in_file(path, error))?;
+        let observed = Observed::parse(text).map_err(|error| Failure::in_file(path, error))?;
+        measured.extend(observed.recordings);
+        kernels = kernels.or(observed.kernels);
+    }
+    let fits = explained::fitted(&explained::together(measured));
+    if let Some(path) = &arguments.fit_costs {
+        write_costs(path, &fits, kernels)?;
+    }
+    let text = match arguments.format {
+        Format::Table => table::fitted(&fits),
+        Format::Json => json::render_fits(&fits)? + "\n",
+        Format::Csv => return Err(Failure::new("--fit-reports prints a table or JSON: give --format json")),
+    };
+    std::io::stdout().lock().write_all(text.as_bytes())?;
+    Ok(Outcome::Good)
+}
+
+/// Writes fitted costs; a line says which keep their default.
+fn write_costs(path: &Path, fits: &[explained::Fitted], kernels: Option<String>) -> Result<(), Failure> {
+    let circumstances = Circumstances::of(PROGRAM, std::iter::empty());
+    let CostsFile { json, said } =
+        costs::render(fits, kernels.as_deref(), &circumstances).map_err(Failure::new)?;
+    OutputFile::create(path)?.commit_with(|out| out.write_all(json.as_bytes()))?;
+    eprintln!("{PROGRAM}: {}: {said}", path.display());
     Ok(())
 }
 

@@ -1,111 +1,215 @@
-//! What a test costs, fitted rather than assumed, and how well measures of trees rank them.
+//! What a visit, a leaf, a block and a miss take, fitted to measured times rather than assumed, and how well measures of trees rank them.
 //!
-//! Least squares over groups of queries, each of which has counts and a measured time: time = queries · a + node visits · b +
-//! box tests · c_I + primitive tests · c_P. In a binary tree every visit is two box tests, so that b and c_I cannot be told apart; then b
-//! takes both. Nothing costs less than nothing: where two counts nearly rise and fall together, as visits and box tests of a wide tree do, plain least squares would
-//! say so of one of them, to the benefit of the other. There are few columns, so the best fit without such costs is found by trying every choice of them.
+//! Weighted least squares over groups of queries, each asked of some trees: time = query + visit · node visits + leaf · leaf visits + block ·
+//! blocks + miss · misses, in nanoseconds per query ([`crate::cost`] prices the same). What is to be known is how *trees* differ. Groups differ in more
+//! than their counts: a visit of incoherent queries takes longer. So where groups were asked of several trees, each has a time of its own that no tree changes,
+//! and only differences between trees for the same queries decide (fixed effects); `query` is the mean of those times. With one tree, groups are
+//! compared with each other. Every group counts by its queries and relative to its own time, so that slow queries, or a slow scene, have no more say than others.
+//!
+//! Nothing costs less than nothing: where two counts nearly rise and fall together, plain least squares would say so of one of them, to the benefit of the other.
+//! There are few columns, so the best fit without such costs is found by trying every choice of them.
 
-/// One group of queries under one tree: its size, counts and time.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Observation {
-    pub queries: u64,
-    pub node_visits: u64,
-    pub box_tests: u64,
-    pub primitive_tests: u64,
+use crate::cost::{Constants, Counted};
+use std::collections::BTreeMap;
+
+/// A group of queries under one tree.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// The same number for the same queries.
+    pub group: usize,
+    pub counted: Counted,
     pub seconds: f64,
 }
 
-/// A fitted cost and its standard error, in the unit of the times.
+/// A fitted cost and its standard error, in nanoseconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
     pub value: f64,
     pub error: f64,
 }
 
-/// What was fitted. A cost is `None` when the observations cannot tell it from the ones before it, or fit best without it.
+/// What was fitted, in nanoseconds. A cost is `None` when the samples cannot tell it from the ones before it, or fit best without it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fit {
     pub query: Option<Estimate>,
-    pub node_visit: Option<Estimate>,
-    pub primitive_test: Option<Estimate>,
-    pub box_test: Option<Estimate>,
-    /// Share of the variance of the time per query that the fit explains.
+    pub visit: Option<Estimate>,
+    pub leaf: Option<Estimate>,
+    pub block: Option<Estimate>,
+    pub miss: Option<Estimate>,
+    /// Whether leaves and blocks rise and fall together, as where every leaf is one block: then `leaf` has both.
+    pub leaf_has_block: bool,
+    /// Share of the variance that the fit explains: of that between trees for the same queries, or of that between groups where there is one tree.
     pub r_squared: f64,
-    pub observations: usize,
+    pub samples: usize,
 }
 
-const COLUMNS: usize = 4;
+/// A query, a visit, a leaf, a block, a miss.
+const COLUMNS: usize = 5;
+const QUERY: usize = 0;
+const LEAF: usize = 2;
+const BLOCK: usize = 3;
+
 /// A column is dropped when less than this share of it is not explained by those before it.
 const INDEPENDENT: f64 = 1e-7;
 
+/// A sample per query, relative to the time of its group; its weight is in all numbers.
+struct Row {
+    group: usize,
+    x: [f64; COLUMNS],
+    y: f64,
+}
+
 impl Fit {
-    /// Fits time per query, each group weighted by its queries. `None` when there are too few groups, or all are alike.
-    pub fn of(observations: &[Observation]) -> Option<Fit> {
-        let usable: Vec<&Observation> = observations.iter().filter(|o| o.queries > 0).collect();
-        // Rows scaled so that plain least squares over them is the weighted one over means.
-        let rows: Vec<([f64; COLUMNS], f64)> = usable
-            .iter()
-            .map(|o| {
-                let weight = (o.queries as f64).sqrt();
-                let counts = [o.queries, o.node_visits, o.primitive_tests, o.box_tests];
-                (counts.map(|count| count as f64 / weight), o.seconds / weight)
-            })
-            .collect();
-        let scale: [f64; COLUMNS] =
-            std::array::from_fn(|column| rows.iter().map(|(x, _)| x[column] * x[column]).sum::<f64>().sqrt());
-        let told_apart = independent(&rows, &scale);
-        let freedom = |columns: usize| rows.len().checked_sub(columns).filter(|freedom| *freedom > 0);
-        freedom(told_apart.len())?;
-        let choices = (1..1 << told_apart.len()).filter_map(|choice: u32| {
+    /// `None` when there are too few samples, or all are alike.
+    pub fn of(samples: &[Sample]) -> Option<Fit> {
+        let rows = rows(samples);
+        let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        rows.iter().enumerate().for_each(|(place, row)| groups.entry(row.group).or_default().push(place));
+        let several = groups.values().any(|places| places.len() > 1);
+        let (deviations, absorbed) = if several {
+            from_means(&rows, &groups)
+        } else {
+            (rows.iter().map(|row| (row.x, row.y)).collect(), 0)
+        };
+        let scale: [f64; COLUMNS] = std::array::from_fn(|column| {
+            deviations.iter().map(|(x, _)| x[column] * x[column]).sum::<f64>().sqrt()
+        });
+        let told_apart = independent(&deviations, &scale);
+        let freedom =
+            |columns: usize| deviations.len().checked_sub(absorbed + columns).filter(|freedom| *freedom > 0);
+        freedom(COLUMNS)?;
+        let choices = (1..1u32 << told_apart.len()).filter_map(|choice| {
             let numbered = told_apart.iter().enumerate();
             let kept: Vec<usize> =
                 numbered.filter(|(place, _)| choice >> place & 1 == 1).map(|(_, &column)| column).collect();
-            let (solution, inverse) = solve(&rows, &scale, &kept)?;
+            let (solution, inverse) = solve(&deviations, &scale, &kept)?;
             if solution.iter().any(|&value| value < 0.0) {
                 return None;
             }
-            let estimate_of = |x: &[f64; COLUMNS]| -> f64 {
+            let expected = |x: &[f64; COLUMNS]| -> f64 {
                 kept.iter().zip(&solution).map(|(&column, value)| x[column] * value).sum()
             };
-            let residual: f64 = rows.iter().map(|(x, y)| (y - estimate_of(x)).powi(2)).sum();
+            let residual: f64 = deviations.iter().map(|(x, y)| (y - expected(x)).powi(2)).sum();
             Some((residual, kept, solution, inverse))
         });
         let (residual, kept, solution, inverse) = choices.min_by(|a, b| a.0.total_cmp(&b.0))?;
-        let freedom = freedom(kept.len())? as f64;
-        let queries: f64 = usable.iter().map(|o| o.queries as f64).sum();
-        let mean = usable.iter().map(|o| o.seconds).sum::<f64>() / queries;
-        let total: f64 =
-            usable.iter().map(|o| o.queries as f64 * (o.seconds / o.queries as f64 - mean).powi(2)).sum();
+        let total = variation(&deviations);
         if total <= 0.0 {
             return None;
         }
-        let variance = residual / freedom;
+        let variance = residual / freedom(kept.len())? as f64;
         let estimate = |column: usize| {
             let place = kept.iter().position(|&other| other == column)?;
             let error = (variance * inverse[place][place]).max(0.0).sqrt() / scale[column];
             Some(Estimate { value: solution[place], error })
         };
+        let own = || {
+            let costs: [f64; COLUMNS] =
+                std::array::from_fn(|column| estimate(column).map_or(0.0, |it| it.value));
+            mean_of_groups(&rows, &groups, &costs)
+        };
         Some(Fit {
-            query: estimate(0),
-            node_visit: estimate(1),
-            primitive_test: estimate(2),
-            box_test: estimate(3),
+            query: if several { own() } else { estimate(QUERY) },
+            visit: estimate(1),
+            leaf: estimate(LEAF),
+            block: estimate(BLOCK),
+            miss: estimate(4),
+            leaf_has_block: told_apart.contains(&LEAF) && !told_apart.contains(&BLOCK) && scale[BLOCK] > 0.0,
             r_squared: 1.0 - residual / total,
-            observations: rows.len(),
+            samples: rows.len(),
         })
     }
 
-    /// What a box test costs: as fitted, or half a visit where each visit is two of them.
-    pub fn c_i(&self) -> Option<f64> {
-        self.box_test
-            .or(self.node_visit.map(|visit| Estimate { value: visit.value / 2.0, ..visit }))
-            .map(|c| c.value)
+    /// The constants, where a tree can be chosen by them: a visit, a leaf and a block each cost something. What leaves and blocks take together is
+    /// parted as in `known`.
+    pub fn constants(&self, known: &Constants) -> Option<Constants> {
+        let value = |estimate: Option<Estimate>| estimate.map(|it| it.value).filter(|value| *value > 0.0);
+        let (mut leaf, mut block) = (value(self.leaf), value(self.block));
+        if self.leaf_has_block {
+            let both = leaf? / (known.leaf + known.block);
+            (leaf, block) = (Some(both * known.leaf), Some(both * known.block));
+        }
+        Some(Constants {
+            query: value(self.query).unwrap_or(0.0),
+            visit: value(self.visit)?,
+            leaf: leaf?,
+            block: block?,
+            miss: value(self.miss).unwrap_or(0.0),
+        })
     }
+}
 
-    /// c_P / c_I as fitted.
-    pub fn ratio(&self) -> Option<f64> {
-        Some(self.primitive_test?.value / self.c_i()?)
+/// Nanoseconds and counts per query.
+fn rows(samples: &[Sample]) -> Vec<Row> {
+    let usable =
+        |sample: &&Sample| sample.counted.queries > 0 && sample.seconds > 0.0 && sample.seconds.is_finite();
+    let ns = |sample: &Sample| sample.seconds * 1e9 / sample.counted.queries as f64;
+    let mut sums: BTreeMap<usize, (f64, f64)> = BTreeMap::new();
+    for sample in samples.iter().filter(usable) {
+        let (sum, count) = sums.entry(sample.group).or_default();
+        *sum += ns(sample);
+        *count += 1.0;
     }
+    let row = |sample: &Sample| {
+        let Counted { queries, counts, misses } = sample.counted;
+        let (sum, count) = sums[&sample.group];
+        let weight = (queries as f64).sqrt() * count / sum;
+        let counts = [queries, counts.node_visits, counts.leaf_visits, counts.block_tests, misses];
+        let x = counts.map(|count| count as f64 / queries as f64 * weight);
+        Row { group: sample.group, x, y: ns(sample) * weight }
+    };
+    samples.iter().filter(usable).map(row).collect()
+}
+
+/// Rows less the mean of their group, and how many means that were; groups of one say nothing.
+fn from_means(rows: &[Row], groups: &BTreeMap<usize, Vec<usize>>) -> (Vec<([f64; COLUMNS], f64)>, usize) {
+    let several = || groups.values().filter(|places| places.len() > 1);
+    let mut deviations = Vec::with_capacity(rows.len());
+    for places in several() {
+        let mean = |of: &dyn Fn(&Row) -> f64| {
+            places.iter().map(|&place| of(&rows[place])).sum::<f64>() / places.len() as f64
+        };
+        let means: [f64; COLUMNS] = std::array::from_fn(|column| mean(&|row| row.x[column]));
+        let time = mean(&|row| row.y);
+        let less = |&place: &usize| {
+            // All queries of a group are the same in every tree, but for the last bits of a mean.
+            let x = std::array::from_fn(|column| {
+                if column == QUERY { 0.0 } else { rows[place].x[column] - means[column] }
+            });
+            (x, rows[place].y - time)
+        };
+        deviations.extend(places.iter().map(less));
+    }
+    (deviations, several().count())
+}
+
+/// The time of a query that no tree changes, in the mean of all groups; `None` when it comes out below zero.
+fn mean_of_groups(
+    rows: &[Row],
+    groups: &BTreeMap<usize, Vec<usize>>,
+    costs: &[f64; COLUMNS],
+) -> Option<Estimate> {
+    let rest = |row: &Row| row.y - row.x.iter().zip(costs).map(|(count, cost)| count * cost).sum::<f64>();
+    let own = |places: &Vec<usize>| {
+        let weight = rows[places[0]].x[QUERY];
+        (
+            weight * weight,
+            places.iter().map(|&place| rest(&rows[place])).sum::<f64>() / places.len() as f64 / weight,
+        )
+    };
+    let all: Vec<(f64, f64)> = groups.values().map(own).collect();
+    let weights: f64 = all.iter().map(|(weight, _)| weight).sum();
+    let value = all.iter().map(|(weight, own)| weight * own).sum::<f64>() / weights;
+    let spread: f64 = all.iter().map(|(weight, own)| (weight * (own - value)).powi(2)).sum();
+    (value >= 0.0).then(|| Estimate { value, error: spread.sqrt() / weights })
+}
+
+/// The sum of squares about the mean that a query alone explains, or about zero where that has gone.
+fn variation(rows: &[([f64; COLUMNS], f64)]) -> f64 {
+    let weights: f64 = rows.iter().map(|(x, _)| x[QUERY] * x[QUERY]).sum();
+    let mean =
+        if weights > 0.0 { rows.iter().map(|(x, y)| x[QUERY] * y).sum::<f64>() / weights } else { 0.0 };
+    rows.iter().map(|(x, y)| (y - mean * x[QUERY]).powi(2)).sum()
 }
 
 /// Columns that those before them do not explain (modified Gram-Schmidt).
@@ -177,104 +281,140 @@ fn solve(
     Some((solution, inverse))
 }
 
-/// Kendall's τ_b of two measures of the same things: 1 when they rank them alike, -1 when in reverse; ties count for
-/// neither (Kendall 1945). `None` when either ranks nothing.
-pub fn kendall(a: &[f64], b: &[f64]) -> Option<f64> {
-    let (mut agreement, mut untied_a, mut untied_b) = (0.0, 0.0, 0.0);
-    let order = |x: f64, y: f64| (x > y) as i32 - (x < y) as i32;
-    for i in 0..a.len().min(b.len()) {
+/// Times that differ by less than this share rank nothing: that is what measuring twice differs by.
+pub const APART: f64 = 0.02;
+
+/// Kendall's τ_b of a measure and the times of the same trees, over pairs of them whose times are [`APART`], and how many pairs those are: 1 when the measure ranks them as
+/// the clock does, -1 in reverse; what it holds for equal counts for neither (Kendall 1945). `None` when it, or the clock, ranks nothing.
+pub fn kendall(measure: &[f64], times: &[f64]) -> (Option<f64>, usize) {
+    let (mut agreement, mut told_apart, mut pairs) = (0, 0, 0);
+    let order = |x: f64, y: f64| i32::from(x > y) - i32::from(x < y);
+    for i in 0..measure.len().min(times.len()) {
         for j in 0..i {
-            let (of_a, of_b) = (order(a[i], a[j]), order(b[i], b[j]));
-            agreement += f64::from(of_a * of_b);
-            untied_a += f64::from(of_a * of_a);
-            untied_b += f64::from(of_b * of_b);
+            if (times[i] - times[j]).abs() <= APART * times[i].min(times[j]) {
+                continue;
+            }
+            let by_measure = order(measure[i], measure[j]);
+            agreement += by_measure * order(times[i], times[j]);
+            told_apart += by_measure.abs();
+            pairs += 1;
         }
     }
-    (untied_a > 0.0 && untied_b > 0.0).then(|| agreement / f64::sqrt(untied_a * untied_b))
+    let tau = || f64::from(agreement) / (f64::from(told_apart) * pairs as f64).sqrt();
+    ((told_apart > 0).then(tau), pairs)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::mixed;
+    use crate::traverse::Counts;
 
-    /// Groups whose time follows the costs exactly, but for `noise` that averages out.
-    fn observations(wide: bool, noise: f64) -> Vec<Observation> {
-        (1..200u64)
-            .map(|n| {
-                let queries = 100 + n * 37 % 500;
-                let node_visits = queries * (10 + n * 13 % 17);
-                let children = if wide { node_visits * (20 + n * 7 % 11) / 8 } else { 2 * node_visits };
-                let box_tests = queries + children;
-                let primitive_tests = queries * (1 + n * 29 % 7);
-                let seconds = 30.0 * queries as f64
-                    + 5.0 * node_visits as f64
-                    + 1.5 * box_tests as f64
-                    + 4.0 * primitive_tests as f64;
-                let wobble = if n % 2 == 0 { 1.0 + noise } else { 1.0 - noise };
-                Observation { queries, node_visits, box_tests, primitive_tests, seconds: seconds * wobble }
-            })
-            .collect()
+    const TRUTH: Constants = Constants { query: 30.0, visit: 5.0, leaf: 7.0, block: 2.0, miss: 20.0 };
+
+    /// Groups of queries under some trees, whose time follows the costs exactly, but for a `noise` that averages out. What queries take of their own
+    /// differs from group to group around that of the costs.
+    fn samples(trees: usize, noise: f64) -> Vec<Sample> {
+        let mut samples = Vec::new();
+        for group in 0..60 {
+            for tree in 0..trees {
+                let draw = |column: u64, range: u64| mixed((group * 64 + tree) as u64 * 8 + column) % range;
+                let queries = 100 + group as u64 * 37 % 500;
+                let leaves = 2 + draw(1, 5);
+                let counts = Counts {
+                    node_visits: queries * (10 + draw(0, 17)),
+                    leaf_visits: queries * leaves,
+                    block_tests: queries * (leaves + draw(2, 4)),
+                    ..Counts::default()
+                };
+                let counted = Counted { queries, counts, misses: queries * draw(3, 4) };
+                let own = if trees > 1 { 10.0 * (group % 3) as f64 - 10.0 } else { 0.0 };
+                let wobble = if draw(4, 2) == 0 { 1.0 + noise } else { 1.0 - noise };
+                let seconds = 1e-9 * (TRUTH.of(&counted) + own * queries as f64) * wobble;
+                samples.push(Sample { group, counted, seconds });
+            }
+        }
+        samples
     }
 
-    fn near(estimate: Option<Estimate>, value: f64, within: f64) -> bool {
-        estimate.is_some_and(|estimate| (estimate.value - value).abs() <= within)
+    fn costs(fit: &Fit) -> [Option<Estimate>; COLUMNS] {
+        [fit.query, fit.visit, fit.leaf, fit.block, fit.miss]
+    }
+
+    fn truth() -> [f64; COLUMNS] {
+        [TRUTH.query, TRUTH.visit, TRUTH.leaf, TRUTH.block, TRUTH.miss]
     }
 
     #[test]
-    fn exact_costs_are_found() {
-        let fit = Fit::of(&observations(true, 0.0)).expect("a fit");
-        assert!(near(fit.query, 30.0, 1e-6) && near(fit.node_visit, 5.0, 1e-6), "{fit:?}");
-        assert!(near(fit.box_test, 1.5, 1e-6) && near(fit.primitive_test, 4.0, 1e-6), "{fit:?}");
-        assert!(fit.r_squared > 1.0 - 1e-9 && fit.observations == 199);
+    fn exact_costs_are_found_over_one_tree_and_over_several() {
+        for trees in [1, 2, 7] {
+            let fit = Fit::of(&samples(trees, 0.0)).expect("a fit");
+            // Queries of their own groups differ, and their mean is weighted by what groups take.
+            for (column, (cost, value)) in costs(&fit).into_iter().zip(truth()).enumerate() {
+                let within = if column == QUERY && trees > 1 { 3.0 } else { 1e-6 };
+                assert!(
+                    cost.is_some_and(|it| (it.value - value).abs() < within),
+                    "{trees}, {column}: {fit:?}"
+                );
+            }
+            assert!(fit.r_squared > 1.0 - 1e-9 && fit.samples == 60 * trees && !fit.leaf_has_block);
+            let constants = fit.constants(&TRUTH).expect("all of them");
+            assert!((constants.leaf - 7.0).abs() < 1e-6 && (constants.miss - 20.0).abs() < 1e-6);
+        }
     }
 
     #[test]
-    fn a_visit_of_a_binary_tree_takes_its_box_tests() {
-        let fit = Fit::of(&observations(false, 0.0)).expect("a fit");
-        // 5 + 2 · 1.5 a visit; the root's box test goes to the query.
-        assert_eq!(fit.box_test, None);
-        assert!(near(fit.node_visit, 8.0, 1e-6) && near(fit.query, 31.5, 1e-6), "{fit:?}");
-        assert!(fit.c_i().is_some_and(|c_i| (c_i - 4.0).abs() < 1e-6));
+    fn what_groups_take_of_their_own_says_nothing_of_trees() {
+        // Groups with more visits are slower for another reason, and trees differ by the truth.
+        let mut samples = samples(6, 0.0);
+        for sample in &mut samples {
+            let queries = sample.counted.queries;
+            sample.counted.counts.node_visits += queries * sample.group as u64;
+            sample.seconds += 1e-9 * queries as f64 * (5.0 + 40.0) * sample.group as f64;
+        }
+        let fit = Fit::of(&samples).expect("a fit");
+        assert!(fit.visit.is_some_and(|visit| (visit.value - 5.0).abs() < 1e-6), "{fit:?}");
     }
 
     #[test]
     fn noise_shows_in_errors_and_r_squared() {
-        let fit = Fit::of(&observations(false, 0.05)).expect("a fit");
-        let error = fit.node_visit.map_or(0.0, |visit| visit.error);
-        assert!(error > 0.01 && near(fit.node_visit, 8.0, 4.0 * error), "{fit:?}");
-        assert!((0.9..0.999).contains(&fit.r_squared), "{fit:?}");
+        let fit = Fit::of(&samples(6, 0.1)).expect("a fit");
+        for (cost, value) in costs(&fit).into_iter().zip(truth()).skip(1) {
+            let Estimate { value: found, error } = cost.expect("a cost");
+            assert!(error > 0.05 && (found - value).abs() < 4.0 * error, "{value}: {fit:?}");
+        }
+        assert!((0.5..0.999).contains(&fit.r_squared), "{fit:?}");
     }
 
     #[test]
     fn nothing_costs_less_than_nothing() {
-        // Box tests nearly follow visits, and the time follows both and a wobble.
-        let observations: Vec<Observation> = (1..100u64)
+        // Leaves nearly follow visits, and the time follows both and a wobble.
+        let samples: Vec<Sample> = (1..100u64)
             .map(|n| {
                 let node_visits = 1000 + n * 37 % 500;
-                let box_tests = 8 * node_visits + n % 3;
-                let seconds = 3.0 * node_visits as f64 - 20.0 * (n % 3) as f64 + (n * 7 % 5) as f64;
-                Observation { queries: 100, node_visits, box_tests, primitive_tests: n % 11, seconds }
+                let leaf_visits = 8 * node_visits + n % 3;
+                let block_tests = n % 11;
+                let counts = Counts { node_visits, leaf_visits, block_tests, ..Counts::default() };
+                let seconds = 1e-9 * (3.0 * node_visits as f64 - 20.0 * (n % 3) as f64 + (n * 7 % 5) as f64);
+                Sample { group: n as usize, counted: Counted { queries: 100, counts, misses: 0 }, seconds }
             })
             .collect();
-        let fit = Fit::of(&observations).expect("a fit");
-        let costs = [fit.query, fit.node_visit, fit.box_test, fit.primitive_test];
-        assert!(costs.iter().flatten().all(|cost| cost.value >= 0.0), "{fit:?}");
+        let fit = Fit::of(&samples).expect("a fit");
+        assert!(costs(&fit).iter().flatten().all(|cost| cost.value >= 0.0), "{fit:?}");
         assert!(fit.r_squared > 0.99, "{fit:?}");
-        // No mixture of costs that are not negative is nearer: each of a fine grid is tried.
-        let residual = |[a, b, c, d]: [f64; 4]| -> f64 {
-            let of = |o: &Observation| {
-                let estimate = a * o.queries as f64
-                    + b * o.node_visits as f64
-                    + c * o.box_tests as f64
-                    + d * o.primitive_tests as f64;
-                (o.seconds - estimate).powi(2)
+        // No mixture of costs that are not negative is nearer: each of a grid around it is tried.
+        let residual = |costs: [f64; COLUMNS]| -> f64 {
+            let of = |sample: &Sample| {
+                let [query, visit, leaf, block, miss] = costs;
+                let expected = Constants { query, visit, leaf, block, miss }.of(&sample.counted);
+                (1.0 - expected / (sample.seconds * 1e9)).powi(2)
             };
-            observations.iter().map(of).sum()
+            samples.iter().map(of).sum()
         };
-        let found = costs.map(|cost| cost.map_or(0.0, |cost| cost.value));
+        let found = costs(&fit).map(|cost| cost.map_or(0.0, |cost| cost.value));
         for mask in 0..81 {
-            let nudged: [f64; 4] = std::array::from_fn(|column| {
-                let step = [-0.01, 0.0, 0.01][mask / 3usize.pow(column as u32) % 3];
+            let nudged: [f64; COLUMNS] = std::array::from_fn(|column| {
+                let step = [-0.01, 0.0, 0.01][mask / 3usize.pow(column.min(3) as u32) % 3];
                 (found[column] + step).max(0.0)
             });
             assert!(residual(nudged) >= residual(found) * (1.0 - 1e-9), "{nudged:?} beats {found:?}");
@@ -282,19 +422,41 @@ mod tests {
     }
 
     #[test]
-    fn too_little_gives_no_fit() {
-        assert_eq!(Fit::of(&[]), None);
-        assert_eq!(Fit::of(&observations(true, 0.0)[..3]), None);
-        assert_eq!(Fit::of(&[observations(true, 0.0)[0]; 9]), None, "all alike");
+    fn leaves_of_one_block_have_both() {
+        let mut samples = samples(5, 0.0);
+        for sample in &mut samples {
+            sample.counted.counts.block_tests = sample.counted.counts.leaf_visits;
+            sample.seconds = 1e-9 * TRUTH.of(&sample.counted);
+        }
+        let fit = Fit::of(&samples).expect("a fit");
+        assert!(fit.leaf_has_block && fit.block.is_none(), "{fit:?}");
+        let constants = fit.constants(&Constants { leaf: 2.0, block: 1.0, ..TRUTH }).expect("parted");
+        assert!((constants.leaf - 6.0).abs() < 1e-6 && (constants.block - 3.0).abs() < 1e-6);
+        // What costs nothing chooses no tree.
+        assert_eq!(Fit { visit: None, ..fit }.constants(&TRUTH), None);
+        assert_eq!(Fit { leaf_has_block: false, ..fit }.constants(&TRUTH), None);
     }
 
     #[test]
-    fn tau_is_kendalls() {
-        assert_eq!(kendall(&[1.0, 2.0, 3.0], &[10.0, 20.0, 30.0]), Some(1.0));
-        assert_eq!(kendall(&[1.0, 2.0, 3.0], &[3.0, 2.0, 1.0]), Some(-1.0));
-        assert_eq!(kendall(&[1.0, 1.0], &[1.0, 2.0]), None);
+    fn too_little_gives_no_fit() {
+        let some = samples(1, 0.0);
+        assert_eq!(Fit::of(&[]), None);
+        assert_eq!(Fit::of(&some[..5]), None);
+        assert_eq!(Fit::of(&[some[0]; 9]), None, "all alike");
+        let none = |seconds| Sample { seconds, ..some[0] };
+        assert_eq!(Fit::of(&[none(0.0), none(f64::NAN), none(f64::INFINITY)]), None);
+    }
+
+    #[test]
+    fn tau_is_kendalls_of_trees_whose_times_differ() {
+        assert_eq!(kendall(&[1.0, 2.0, 3.0], &[10.0, 20.0, 30.0]), (Some(1.0), 3));
+        assert_eq!(kendall(&[1.0, 2.0, 3.0], &[3.0, 2.0, 1.0]), (Some(-1.0), 3));
+        assert_eq!(kendall(&[1.0, 1.0], &[1.0, 2.0]), (None, 1));
+        // Two of these times are the same within 2%, whatever the measure says of them.
+        assert_eq!(kendall(&[2.0, 1.0, 3.0], &[1.0, 1.019, 2.0]), (Some(1.0), 2));
+        assert_eq!(kendall(&[2.0, 1.0, 3.0], &[1.0, 1.021, 2.0]), (Some(1.0 / 3.0), 3));
         // The example of scipy.stats.kendalltau's documentation: -0.4714045207910316.
-        let tau = kendall(&[12.0, 2.0, 1.0, 12.0, 2.0], &[1.0, 4.0, 7.0, 1.0, 0.0]).expect("a rank");
-        assert!((tau + 0.4714045207910316).abs() < 1e-12, "{tau}");
+        let (tau, pairs) = kendall(&[12.0, 2.0, 1.0, 12.0, 2.0], &[1.0, 4.0, 7.0, 1.0, 0.0]);
+        assert!(tau.is_some_and(|tau| (tau + 0.4714045207910316).abs() < 1e-12) && pairs == 9, "{tau:?}");
     }
 }

@@ -46,6 +46,26 @@ pub struct Kernels {
     pub trees: Vec<Result<Planting, String>>,
 }
 
+impl Kernels {
+    /// What is asked, for people.
+    pub fn name(&self) -> String {
+        name(self.version, &self.isa, &self.structure, self.robust)
+    }
+}
+
+/// Kernels for people: `Embree 3.13.5, avx2, BVH8<triangle4>`.
+pub fn name(number: u32, isa: &str, structure: &str, robust: bool) -> String {
+    let robust = if robust { "robust" } else { "" };
+    let words = [isa, structure, robust].into_iter().filter(|word| !word.is_empty());
+    let words = std::iter::once(format!("Embree {}", version(number))).chain(words.map(str::to_owned));
+    words.collect::<Vec<_>>().join(", ")
+}
+
+/// 31305 as 3.13.5.
+pub fn version(number: u32) -> String {
+    format!("{}.{}.{}", number / 10_000, number / 100 % 100, number % 100)
+}
+
 /// A tree in Embree's memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Planting {

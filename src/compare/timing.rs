@@ -5,20 +5,25 @@
 //! and is dropped. What is reported of a time is its median over the rounds, and the least and the greatest.
 
 pub(super) mod clock;
+mod observe;
 
-use super::fit::Observation;
+pub use observe::{Follower, Observation};
+
 use super::kernels::EmbreeScenes;
 use super::{Candidate, CompareError, Recording, Settings};
 use crate::format::FormatError;
 use crate::format::rays::{MAX_CHUNK_RECORDS, Purpose, Record, Reject};
 use crate::geometry::Ray;
 use crate::median::median;
+use crate::optimize::slots;
 use crate::replay::query::{Choice, Query};
 use crate::replay::sort::Sort;
 use crate::replay::tally::{Cell, cell};
 use crate::replay::together::Together;
 use crate::traverse::packet::MOST;
-use crate::traverse::{Counts, OcclusionOrder, Prepared, Recorded, Scratch, Traversal};
+use crate::traverse::{OcclusionOrder, Prepared, Recorded, Scratch, Traversal};
+use observe::Followed;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::hint::black_box;
 use std::ops::Range;
@@ -29,8 +34,6 @@ pub const MOST_QUERIES: u64 = 1 << 20;
 const BLOCK: usize = 8192;
 /// The same where they go in packets or in an order of their own, as many as a chunk may hold: as they are replayed.
 const LONG_BLOCK: usize = MAX_CHUNK_RECORDS;
-/// Parts of a recording whose queries of one cell are a group for [`super::fit`]: large enough that the clock's noise averages out.
-const PARTS: usize = 16;
 
 /// A time in seconds over the rounds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -53,8 +56,6 @@ pub struct Time {
     pub total: Seconds,
     pub by_kind: BTreeMap<u8, Seconds>,
     pub by_purpose: BTreeMap<Purpose, Seconds>,
-    /// Counts of groups of queries, with their median times; none for Embree, whose counts nobody knows.
-    pub observations: Vec<Observation>,
 }
 
 /// What Embree's kernels took; `None` where they could not be asked.
@@ -121,6 +122,8 @@ pub struct Timing {
     pub sort: Option<Seconds>,
     /// When they were asked for, and Embree has such a scene.
     pub kernels: Option<KernelTimes>,
+    /// Of each tree, where costs are to be fitted.
+    pub observations: Vec<Observation>,
 }
 
 /// Timed queries, which no chunk of a file has to stay in memory for.
@@ -205,7 +208,6 @@ impl Queries {
             total: seconds(&|_| true),
             by_kind: by_kind.map(|kind| (kind, seconds(&|cell| cell.0 == kind))).collect(),
             by_purpose: by_purpose.map(|purpose| (purpose, seconds(&|cell| cell.2 == purpose))).collect(),
-            observations: Vec::new(),
         }
     }
 }
@@ -243,32 +245,6 @@ impl Contender<'_> {
             clock::thread_seconds() - start
         };
         queries.runs.iter().map(timed).collect()
-    }
-
-    /// Counts and times of groups: the runs of one cell in each part of the recording.
-    fn observations(
-        &self,
-        queries: &Queries,
-        rounds: &[Vec<f64>],
-        scratch: &mut Scratch,
-    ) -> Vec<Observation> {
-        let mut groups: BTreeMap<(usize, Cell), (Observation, Vec<f64>)> = BTreeMap::new();
-        for (number, (cell, range)) in queries.runs.iter().enumerate() {
-            let mut counts = Counts::default();
-            for query in queries.run(range) {
-                query.ask(self.prepared, self.traversal, self.order, &mut counts, scratch);
-            }
-            let part = range.start * PARTS / queries.list.len();
-            let (group, seconds) = groups.entry((part, *cell)).or_default();
-            group.queries += range.len() as u64;
-            group.node_visits += counts.node_visits;
-            group.box_tests += counts.box_tests;
-            group.primitive_tests += counts.primitive_tests;
-            seconds.resize(rounds.len(), 0.0);
-            seconds.iter_mut().zip(rounds).for_each(|(sum, round)| *sum += round[number]);
-        }
-        let median = |(group, seconds)| Observation { seconds: Seconds::of(seconds).median, ..group };
-        groups.into_values().map(median).collect()
     }
 }
 
@@ -332,9 +308,14 @@ pub(super) fn time(
             }
             let mut times: Vec<Time> = taken.iter().map(|taken| queries.time(taken)).collect();
             let others = times.split_off(prepared.len() * settings.traversals.len());
-            for ((contender, taken), time) in contenders.iter().zip(&taken).zip(&mut times) {
-                time.observations = contender.observations(&queries, taken, &mut scratch);
-            }
+            let observations = if settings.fit {
+                let odf = settings.traversals.iter().position(|&traversal| traversal == Traversal::Odf);
+                let every = settings.traversals.len();
+                let ours = odf.map(|odf| taken.iter().skip(odf).step_by(every)).into_iter().flatten();
+                observe_all(trees, &prepared, &queries, ours, &taken_by_kernels[own_trees..])
+            } else {
+                Vec::new()
+            };
             // From ways of trees and traversals to trees and traversals of ways.
             let of_way = |place: usize| others.iter().skip(place).step_by(times.len()).cloned().collect();
             let by_way: Vec<Vec<Time>> = (0..times.len()).map(of_way).collect();
@@ -356,6 +337,7 @@ pub(super) fn time(
                         trees: trees.iter().map(time).collect(),
                     }
                 }),
+                observations,
             });
         }
         Ok(timings)
@@ -364,4 +346,35 @@ pub(super) fn time(
         Ok(timings) => timings,
         Err(panic) => std::panic::resume_unwind(panic),
     })
+}
+
+/// Observations of all trees, on rayon's threads: `ours` and `kernels` have for each the seconds by round and run, none of a tree that was not followed.
+fn observe_all<'a>(
+    trees: &[Candidate],
+    prepared: &[(Prepared, OcclusionOrder)],
+    queries: &Queries,
+    ours: impl Iterator<Item = &'a Vec<Vec<f64>>>,
+    kernels: &[Vec<Vec<f64>>],
+) -> Vec<Observation> {
+    let ours: Vec<&Vec<Vec<f64>>> = ours.take(trees.len()).collect();
+    let of_tree = |number: usize| {
+        let bvh = trees[number].bvh;
+        let (prepared, order) = &prepared[number];
+        let mut observations = Vec::new();
+        if let Some(rounds) = ours.get(number) {
+            let follower = Follower::Ours;
+            let followed = Followed { follower, number, tree: bvh.tree, prepared, order, rounds };
+            observations = followed.observe(queries);
+        }
+        if let Some(rounds) = kernels.get(number).filter(|rounds| !rounds.is_empty()) {
+            let planted = slots::as_planted(bvh.tree, bvh.order);
+            let prepared = &Prepared::new(planted.view(), bvh.triangles, bvh.geometries);
+            let (follower, order) = (Follower::Embree, &OcclusionOrder::First);
+            let followed = Followed { follower, number, tree: planted.view(), prepared, order, rounds };
+            observations.extend(followed.observe(queries));
+        }
+        observations
+    };
+    let each: Vec<Vec<Observation>> = (0..trees.len()).into_par_iter().map(of_tree).collect();
+    each.concat()
 }

@@ -1,17 +1,17 @@
-//! Costs as JSON, as `bvh-compare --fit` writes them and `--costs FILE` reads them:
+//! Costs as JSON, as `bvh-compare --fit-costs` writes them and `--costs FILE` reads them:
 //!
 //! `{"costs": [{"width": 8, "kind": "closest_hit", "query": 30.1, "visit": 6.1, "leaf": 7.7, "block": 2.0, "miss": 25.0}, …]}`
 //!
 //! in nanoseconds. `query` and `miss` may be left out, and other keys stand beside them unread. A width and kind that is not listed keeps its default.
 
 use super::{Constants, Costs, WIDTHS};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use thiserror::Error;
 
 /// Why a file of costs cannot be used.
 #[derive(Debug, Error)]
 pub enum CostsError {
-    #[error("not a file of costs as bvh-compare --fit writes it: {0}")]
+    #[error("not a file of costs as bvh-compare --fit-costs writes it: {0}")]
     Json(#[from] serde_json::Error),
     #[error("there is no entry in \"costs\": give at least one width and kind")]
     Nothing,
@@ -21,14 +21,14 @@ pub enum CostsError {
     Value { entry: usize, name: &'static str, value: f64, expected: &'static str },
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Kind {
     ClosestHit,
     Occlusion,
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Deserialize)]
 struct Entry {
     width: usize,
     kind: Kind,
@@ -41,7 +41,7 @@ struct Entry {
     miss: f64,
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Deserialize)]
 struct File {
     costs: Vec<Entry>,
 }
@@ -85,22 +85,6 @@ impl Costs {
         }
         Ok(costs)
     }
-
-    /// The costs as [`Self::parse`] reads them.
-    pub fn to_json(&self) -> serde_json::Value {
-        let entries = |kind: &str, of_kind: &[Constants; WIDTHS.len()]| -> Vec<serde_json::Value> {
-            let entry = |(width, constants): (&usize, &Constants)| {
-                let Constants { query, visit, leaf, block, miss } = constants;
-                serde_json::json!({
-                    "width": width, "kind": kind, "query": query, "visit": visit, "leaf": leaf, "block": block, "miss": miss,
-                })
-            };
-            WIDTHS.iter().zip(of_kind).map(entry).collect()
-        };
-        let mut costs = entries("closest_hit", &self.closest_hit);
-        costs.extend(entries("occlusion", &self.occlusion));
-        serde_json::json!({ "costs": costs })
-    }
 }
 
 #[cfg(test)]
@@ -108,14 +92,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_written_is_read_and_what_is_left_out_keeps_its_default() {
+    fn what_is_left_out_keeps_its_default() {
         let text = r#"{"fitted": true, "costs": [{"width": 8, "kind": "occlusion", "visit": 5, "leaf": 4.5, "block": 2, "r_squared": 1}]}"#;
         let costs = Costs::parse(text).unwrap();
         let expected = Constants { query: 0.0, visit: 5.0, leaf: 4.5, block: 2.0, miss: 0.0 };
         assert_eq!(*costs.of(8, true), expected);
         assert_eq!(costs.of(8, false), Costs::default().of(8, false));
         assert_eq!(costs.of(4, true), Costs::default().of(4, true));
-        assert_eq!(Costs::parse(&costs.to_json().to_string()).unwrap(), costs);
     }
 
     #[test]

@@ -13,6 +13,7 @@
 
 use crate::cost::Constants;
 use crate::training::occlusions::Occlusion;
+use crate::traverse::child_order::rule;
 use crate::traverse::encounter::{Encounter, children};
 use crate::traverse::{OcclusionOrder, Prepared, PreparedRay, Scratch};
 use crate::tree::{Node, Tree, TreeView};
@@ -48,15 +49,39 @@ pub struct Chosen {
 
 /// The tree with the children of every node sorted by the number of primitives below, the fewest first.
 pub fn smallest_first(tree: TreeView) -> Tree {
-    let mut below = vec![0u64; tree.nodes.len()];
-    for (index, node) in tree.nodes.iter().enumerate().rev() {
-        below[index] = if node.is_leaf() { node.len() as u64 } else { below[node.range()].iter().sum() };
-    }
+    let below = primitives_below(tree);
     permuted(tree, |node| {
         let mut order: Vec<usize> = tree.nodes[node].range().collect();
         order.sort_by_key(|&child| below[child]);
         order
     })
+}
+
+/// The tree with the children of every node in the order in which Embree's kernels visit them for any hit once it is planted: as `ORDR` says
+/// where it names an order of the file, elsewhere the fewest primitives first, and of equals the last one.
+pub fn as_planted(tree: TreeView, rules: Option<&[u8]>) -> Tree {
+    let below = primitives_below(tree);
+    permuted(tree, |node| {
+        let mut order: Vec<usize> = tree.nodes[node].range().collect();
+        match rules.and_then(|rules| rules.get(node)) {
+            Some(&rule::FIRST) => {}
+            Some(&rule::LAST) => order.reverse(),
+            _ => {
+                order.reverse();
+                order.sort_by_key(|&child| below[child]);
+            }
+        }
+        order
+    })
+}
+
+/// Primitives in the leaves below each node.
+fn primitives_below(tree: TreeView) -> Vec<u64> {
+    let mut below = vec![0u64; tree.nodes.len()];
+    for (index, node) in tree.nodes.iter().enumerate().rev() {
+        below[index] = if node.is_leaf() { node.len() as u64 } else { below[node.range()].iter().sum() };
+    }
+    below
 }
 
 /// Chooses the order of every node's children for `queries` over `tree`, on the threads of the current rayon pool. `prepared` is
@@ -373,7 +398,7 @@ fn cheapest(costs: &mut [[f64; MOST]], count: usize, order: &Order) -> Order {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Aabb, Triangle};
+    use crate::geometry::{Aabb, Triangle, Vec3};
     use crate::optimize::checks::{poor_tree, rays, triangles};
     use crate::traverse::{All, Counts};
     use crate::tree::collapse::{Config, collapse};
@@ -415,6 +440,26 @@ mod tests {
         let prepared = Prepared::new(by_size.view(), triangles, &[]);
         let chosen = choose(&prepared, by_size.view(), queries, &CONSTANTS);
         (by_size, chosen)
+    }
+
+    /// Three leaves of two, one and two primitives: what is asked first is what `plant_blocks.cpp` puts into the last slot.
+    #[test]
+    fn planted_children_are_asked_from_the_last_slot_on() {
+        let bounds = Aabb { lower: Vec3::ZERO, upper: Vec3::ONE };
+        let nodes = vec![
+            Node::inner(bounds, 1, 3),
+            Node::leaf(bounds, 0, 2),
+            Node::leaf(bounds, 2, 1),
+            Node::leaf(bounds, 3, 2),
+        ];
+        let tree = Tree { nodes, primitives: (0..5).collect() };
+        let asked = |rules: Option<&[u8]>| as_planted(tree.view(), rules).primitives;
+        let [forwards, backwards] = [rule::FIRST, rule::LAST].map(|rule| [rule; 4]);
+        assert_eq!(asked(Some(&forwards)), [0, 1, 2, 3, 4]);
+        assert_eq!(asked(Some(&backwards)), [3, 4, 2, 0, 1]);
+        for by_size in [None, Some(&[rule::NEAREST; 4][..])] {
+            assert_eq!(asked(by_size), [2, 3, 4, 0, 1]);
+        }
     }
 
     fn permutations(of: usize) -> Vec<Vec<usize>> {

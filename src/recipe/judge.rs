@@ -1,11 +1,11 @@
 //! What trees cost the queries that judge them: counted by the real traversal, depth first, in the order in which it will be asked.
 
-use crate::cost::cache::{Cache, Cached, Layout, SECOND_LEVEL};
-use crate::cost::{ByKind, Cost, Costs, Counted};
+use crate::cost::counter::{BATCH, Counter};
+use crate::cost::{ByKind, Cost, Costs};
 use crate::format::bvh::Geometry;
 use crate::geometry::Triangle;
 use crate::training::queries::Query;
-use crate::traverse::{OcclusionOrder, Prepared, PreparedRay, Recorded, Scratch, Traversal};
+use crate::traverse::{OcclusionOrder, Prepared, Recorded};
 use crate::tree::TreeView;
 use rayon::prelude::*;
 
@@ -15,9 +15,6 @@ pub struct Scene<'a> {
     pub triangles: &'a [Triangle],
     pub geometries: &'a [Geometry],
 }
-
-/// Queries that ask a simulated cache one after the other, which is empty before the first of them.
-const BATCH: usize = 1 << 13;
 
 /// What `queries` cost in `tree`, asked on the threads of the current rayon pool; occlusion in the order `order`. Misses of a cache as large as a
 /// processor's second level are part of it: a tree that saves visits by cutting triangles takes more memory.
@@ -30,23 +27,12 @@ pub fn judge(
 ) -> Cost {
     let prepared = Prepared::new(tree, scene.triangles, scene.geometries);
     let widest = tree.nodes.iter().filter(|node| !node.is_leaf()).map(|node| node.len()).max();
-    let layout = Layout::of(tree);
     let part = |queries: &[&Query]| {
-        let (mut counted, mut scratch) = (ByKind::default(), Scratch::default());
-        let mut cache = Cache::new(SECOND_LEVEL);
+        let mut counter = Counter::new(&prepared, tree, order);
+        let mut counted = ByKind::default();
         for query in queries {
-            let ray = PreparedRay::new(&query.ray);
             let candidates = Recorded { mask: query.mask, rejects: &query.rejects };
-            let before = cache.misses();
-            let Counted { queries, counts, misses } = counted.of(query.is_occlusion);
-            *queries += 1;
-            let mut observer = Cached::new(counts, &mut cache, layout);
-            if query.is_occlusion {
-                prepared.occluder_in(order, &ray, &candidates, &mut observer, &mut scratch);
-            } else {
-                prepared.closest_hit(Traversal::Odf, &ray, &candidates, &mut observer, &mut scratch);
-            }
-            *misses += cache.misses() - before;
+            *counted.of(query.is_occlusion) += counter.ask(&query.ray, query.is_occlusion, &candidates);
         }
         counted
     };

@@ -3,9 +3,10 @@
 //! Of several recordings, `recordings` holds for each what the whole would be for it alone.
 
 use super::json_kernels::{EmbreeJson, TreeTimeJson};
-use super::json_time::{TimeJson, Timed};
+use super::json_time::{FitJson, TimeJson, Timed};
 use super::time::way_key;
 use super::{gamma_quantile, mean};
+use crate::compare::explained::Fitted;
 use crate::compare::limit::Metric;
 use crate::compare::{Comparison, RecordingResult, Run, Settings, depth_name, kind_name};
 use crate::replay::profile::Profile;
@@ -170,6 +171,15 @@ pub fn render(comparison: &Comparison, failures: &[String]) -> serde_json::Resul
             serde_json::to_string_pretty(&Several { recordings, failures })
         }
     }
+}
+
+/// Fitted costs alone, as `fit` of a recording has them.
+pub fn render_fits(fits: &[Fitted]) -> serde_json::Result<String> {
+    #[derive(Serialize)]
+    struct Fits {
+        fit: Vec<FitJson>,
+    }
+    serde_json::to_string_pretty(&Fits { fit: fits.iter().map(FitJson::of).collect() })
 }
 
 fn report_of<'a>(

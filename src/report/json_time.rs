@@ -1,9 +1,10 @@
 //! What `--time` and `--fit` add to the JSON of a recording.
 
-use crate::compare::explained::{Fitted, Ranking, fitted, rankings};
+use super::costs::{estimates, kind_key};
+use crate::compare::explained::{Fitted, Ranking, Ranks, fitted, measured, rankings};
 use crate::compare::fit::Estimate;
-use crate::compare::timing::{Seconds, Time};
-use crate::compare::{Comparison, RecordingResult, kind_name};
+use crate::compare::timing::{Observation, Seconds, Time};
+use crate::compare::{Comparison, RecordingResult, depth_name, kind_name};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -15,6 +16,8 @@ pub(super) struct Timed {
     fit: Vec<FitJson>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     ranking: Vec<RankingJson>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    observations: Vec<ObservationJson>,
 }
 
 #[derive(Serialize)]
@@ -46,15 +49,16 @@ struct SecondsJson {
 
 /// Costs in nanoseconds.
 #[derive(Serialize)]
-struct FitJson {
-    traversal: &'static str,
-    form: &'static str,
+pub(super) struct FitJson {
+    follower: &'static str,
+    width: usize,
+    kind: &'static str,
     trees: usize,
     groups: Option<usize>,
-    query: Option<EstimateJson>,
-    node_visit: Option<EstimateJson>,
-    box_test: Option<EstimateJson>,
-    primitive_test: Option<EstimateJson>,
+    #[serde(flatten)]
+    costs: BTreeMap<&'static str, Option<EstimateJson>>,
+    /// Whether leaves and blocks could not be told apart: then `leaf` has both.
+    leaf_has_block: bool,
     r_squared: Option<f64>,
 }
 
@@ -67,9 +71,32 @@ struct EstimateJson {
 /// Kendall's τ_b with the time, by measure.
 #[derive(Serialize)]
 struct RankingJson {
-    traversal: &'static str,
+    follower: &'static str,
+    trees: usize,
+    /// Whose times are far enough apart.
+    pairs: usize,
     #[serde(flatten)]
     measures: BTreeMap<&'static str, Option<f64>>,
+}
+
+/// A group of queries under one tree.
+#[derive(Serialize)]
+struct ObservationJson {
+    follower: &'static str,
+    /// Place in `trees`.
+    tree: usize,
+    /// Of the recording.
+    part: usize,
+    kind: &'static str,
+    depth: String,
+    purpose: &'static str,
+    queries: u64,
+    node_visits: u64,
+    leaf_visits: u64,
+    block_tests: u64,
+    /// Of the simulated cache.
+    misses: u64,
+    seconds: f64,
 }
 
 impl Timed {
@@ -83,8 +110,9 @@ impl Timed {
                 processor: timing.processor,
                 sort_seconds: timing.sort.map(|sort| sort.median),
             },
-            fit: fitted(comparison, recording).iter().map(FitJson::of).collect(),
-            ranking: rankings(comparison, recording).into_iter().map(RankingJson::of).collect(),
+            fit: fitted(&measured(comparison, recording)).iter().map(FitJson::of).collect(),
+            ranking: rankings(comparison, recording).into_iter().filter_map(RankingJson::of).collect(),
+            observations: timing.observations.iter().map(ObservationJson::of).collect(),
         })
     }
 }
@@ -109,26 +137,48 @@ impl SecondsJson {
 }
 
 impl FitJson {
-    fn of(Fitted { traversal, form, trees, fit }: &Fitted) -> FitJson {
-        let estimate = |estimate: Option<Estimate>| {
-            estimate.map(|e| EstimateJson { ns: e.value * 1e9, standard_error: e.error * 1e9 })
-        };
+    pub fn of(Fitted { follower, width, is_occlusion, trees, fit }: &Fitted) -> FitJson {
+        let json = |Estimate { value, error }: Estimate| EstimateJson { ns: value, standard_error: error };
+        let costs = fit.iter().flat_map(|fit| estimates(fit).map(|(name, it)| (name, it.map(json))));
         FitJson {
-            traversal: traversal.key(),
-            form,
+            follower: follower.key(),
+            width: *width,
+            kind: kind_key(*is_occlusion),
             trees: *trees,
-            groups: fit.map(|fit| fit.observations),
-            query: fit.and_then(|fit| estimate(fit.query)),
-            node_visit: fit.and_then(|fit| estimate(fit.node_visit)),
-            box_test: fit.and_then(|fit| estimate(fit.box_test)),
-            primitive_test: fit.and_then(|fit| estimate(fit.primitive_test)),
+            groups: fit.map(|fit| fit.samples),
+            costs: costs.collect(),
+            leaf_has_block: fit.is_some_and(|fit| fit.leaf_has_block),
             r_squared: fit.map(|fit| fit.r_squared),
         }
     }
 }
 
 impl RankingJson {
-    fn of(Ranking { traversal, measures }: Ranking) -> RankingJson {
-        RankingJson { traversal: traversal.key(), measures: measures.into_iter().collect() }
+    /// `None` where nothing is said of ranks.
+    fn of(Ranking { follower, trees, ranks }: Ranking) -> Option<RankingJson> {
+        let Ranks { pairs, measures } = ranks?;
+        let measures = measures.into_iter().collect();
+        Some(RankingJson { follower: follower.key(), trees, pairs, measures })
+    }
+}
+
+impl ObservationJson {
+    fn of(observation: &Observation) -> ObservationJson {
+        let &Observation { follower, tree, part, cell: (kind, depth, purpose), counted, seconds } =
+            observation;
+        ObservationJson {
+            follower: follower.key(),
+            tree,
+            part,
+            kind: kind_name(kind),
+            depth: depth_name(depth),
+            purpose: purpose.name(),
+            queries: counted.queries,
+            node_visits: counted.counts.node_visits,
+            leaf_visits: counted.counts.leaf_visits,
+            block_tests: counted.counts.block_tests,
+            misses: counted.misses,
+            seconds,
+        }
     }
 }

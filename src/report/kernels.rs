@@ -1,7 +1,7 @@
 //! Embree's kernels on each tree, as a table for people: time relative to Embree's own trees, and
 //! what the answers are worth.
 
-use super::{grouped, tree_names, version};
+use super::{grouped, tree_names};
 use crate::compare::kernels::{Answers, Kernels};
 use crate::compare::timing::{KernelTimes, Time, Timing};
 use crate::compare::{Comparison, RecordingResult, relative};
@@ -101,7 +101,7 @@ fn notes(comparison: &Comparison, kernels: &Kernels, own: &Answers) -> Vec<Strin
         "{}: its own trees, and each of these planted in the scene of medium quality. Answers to {} \
          queries; flipped and apart: those, singly and in packets, that are not Embree's on its own \
          tree (a hit for a miss, or t beyond 1e-4).",
-        name(kernels),
+        kernels.name(),
         grouped(own.queries)
     ));
     notes.extend((own.unjudged > 0).then(|| {
@@ -112,12 +112,4 @@ fn notes(comparison: &Comparison, kernels: &Kernels, own: &Answers) -> Vec<Strin
         )
     }));
     notes
-}
-
-/// What is asked.
-fn name(kernels: &Kernels) -> String {
-    let Kernels { version: number, isa, structure, robust, .. } = kernels;
-    let robust = if *robust { "robust" } else { "" };
-    let words = [isa, structure.as_str(), robust].into_iter().filter(|word| !word.is_empty());
-    format!("Embree {}, {}", version(*number), words.collect::<Vec<_>>().join(", "))
 }

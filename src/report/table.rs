@@ -1,6 +1,7 @@
 //! A comparison for people: a summary, the trees, and where the queries' costs come from, each within 100 columns.
 
 use super::{grouped, groups, kernels, mean, packets, time, tree_names, unjudged};
+use crate::compare::explained::Fitted;
 use crate::compare::limit::Metric;
 use crate::compare::{Comparison, RecordingResult, explained, relative};
 use crate::traverse::Counts;
@@ -99,24 +100,28 @@ fn times(comparison: &Comparison, recording: &RecordingResult) -> String {
         format!("{} At most {:.1}% apart.", time::method(timing), 100.0 * spreads.fold(0.0, f64::max));
     let rows = timed.into_iter().map(row).collect();
     let mut text = format!("\nTime per query, ns\n{}\n{}\n", table(&header, 2, rows), time::wrapped(&method));
-    let fits: Vec<Vec<String>> = explained::fitted(comparison, recording).iter().map(fitted).collect();
+    let fits = time::fits(comparison, recording);
     if !fits.is_empty() {
-        let header = ["Order", "trees", "groups", "query", "visit", "box", "primitive", "c_P/c_I", "R²"];
-        text += &format!("\nFitted costs, ns ± standard error\n{}\n", table(&header, 2, fits));
+        text += &format!("\n{}", fit_table(fits));
     }
-    let rankings = explained::rankings(comparison, recording);
-    if let Some(first) = rankings.first() {
-        let names = first.measures.iter().map(|(key, _)| time::measure_name(key));
-        let header: Vec<&str> = std::iter::once("Order").chain(names).collect();
-        let row = |ranking: &explained::Ranking| {
-            let tau = |tau: &Option<f64>| tau.map_or("–".to_owned(), |tau| format!("{tau:.2}"));
-            let cells = ranking.measures.iter().map(|(_, value)| tau(value));
-            std::iter::once(ranking.traversal.name().to_owned()).chain(cells).collect()
-        };
-        let rows = rankings.iter().map(row).collect();
-        text += &format!("\nHow they rank the trees by time, Kendall's τ\n{}\n", table(&header, 1, rows));
+    match time::rankings(comparison, recording) {
+        Some(ranked) if ranked.rows.is_empty() => text += &format!("\n{}\n", explained::TOO_FEW),
+        Some(time::Ranked { header, rows }) => {
+            text += &format!("\n{}\n{}\n", time::RANKED, table(&header, 1, rows));
+        }
+        None => {}
     }
     text
+}
+
+/// Fitted costs, and what they mean.
+pub fn fitted(fits: &[Fitted]) -> String {
+    fit_table(time::fit_rows(fits))
+}
+
+fn fit_table(rows: Vec<Vec<String>>) -> String {
+    let table = table(&time::FIT_HEADER, time::FIT_NAMES, rows);
+    format!("Fitted costs, ns ± standard error\n{table}\n{}\n", time::wrapped(time::FIT_WORDS))
 }
 
 /// Embree's kernels on each tree; empty when they were not asked.
@@ -131,19 +136,6 @@ fn embrees(comparison: &Comparison, recording: &RecordingResult) -> String {
     }
     notes.iter().for_each(|note| text += &format!("{}\n", time::wrapped(note)));
     text
-}
-
-fn fitted(fitted: &explained::Fitted) -> Vec<String> {
-    let mut cells = vec![fitted.traversal.name().to_owned(), format!("{} {}", fitted.trees, fitted.form)];
-    let Some(fit) = &fitted.fit else {
-        cells.resize(9, "–".to_owned());
-        return cells;
-    };
-    cells.push(fit.observations.to_string());
-    cells.extend([fit.query, fit.node_visit, fit.box_test, fit.primitive_test].map(time::estimate));
-    cells.push(fit.ratio().map_or("–".to_owned(), |ratio| format!("{ratio:.2}")));
-    cells.push(format!("{:.4}", fit.r_squared));
-    cells
 }
 
 /// What each tree is called: the end of its name where that is long.

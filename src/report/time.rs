@@ -1,6 +1,8 @@
 //! Measured times as rows that every report shows: trees under each of our traversals and under Embree's kernels.
 
+use super::costs::estimates;
 use super::{tree_names, version};
+use crate::compare::explained::{self, Fitted, Ranking, Ranks};
 use crate::compare::fit::Estimate;
 use crate::compare::timing::{Seconds, Time, Timing, Way};
 use crate::compare::{Comparison, RecordingResult, relative};
@@ -135,8 +137,9 @@ pub(crate) fn method(timing: &Timing) -> String {
 }
 
 /// The names of measures for people.
-pub(crate) fn measure_name(key: &str) -> &str {
+fn measure_name(key: &'static str) -> &'static str {
     match key {
+        "cost_with_misses" => "+ misses",
         "sah_cost" => "SAH",
         "epo" => "EPO",
         "leaf_count_variability" => "LCV",
@@ -147,9 +150,72 @@ pub(crate) fn measure_name(key: &str) -> &str {
     }
 }
 
+/// Columns of [`fits`].
+pub(crate) const FIT_HEADER: [&str; 10] =
+    ["By", "width", "queries", "trees", "query", "visit", "leaf", "block", "miss", "R²"];
+
+/// Of those columns, how many are text.
+pub(crate) const FIT_NAMES: usize = 3;
+
+/// What was fitted to the times of a recording, a row for each follower, width and kind; none when that was not asked for.
+pub(crate) fn fits(comparison: &Comparison, recording: &RecordingResult) -> Vec<Vec<String>> {
+    fit_rows(&explained::fitted(&explained::measured(comparison, recording)))
+}
+
+/// Fits as rows.
+pub(crate) fn fit_rows(fits: &[Fitted]) -> Vec<Vec<String>> {
+    let row = |Fitted { follower, width, is_occlusion, trees, fit }: &Fitted| {
+        let kind = if *is_occlusion { "occlusion" } else { "closest" };
+        let mut cells =
+            vec![follower.name().to_owned(), width.to_string(), kind.to_owned(), trees.to_string()];
+        let Some(fit) = fit else {
+            cells.resize(FIT_HEADER.len(), "–".to_owned());
+            return cells;
+        };
+        cells.extend(estimates(fit).map(|(_, it)| estimate(it)));
+        cells.push(format!("{:.2}", fit.r_squared));
+        cells
+    };
+    fits.iter().map(row).collect()
+}
+
+/// What the fits mean, in a sentence.
+pub(crate) const FIT_WORDS: &str = "Time = query + visit · node visits + leaf · leaf visits + block · blocks of four + miss · misses of a simulated \
+     cache of 1 MB; R²: the share of the differences between trees, for the same queries, that this explains.";
+
+/// How measures rank the trees, a row for each follower, below a header; none when that was not asked for.
+pub(crate) fn rankings(comparison: &Comparison, recording: &RecordingResult) -> Option<Ranked> {
+    let rankings = explained::rankings(comparison, recording);
+    if rankings.is_empty() {
+        return None;
+    }
+    let mut ranked = Ranked { header: vec!["By", "trees", "pairs"], rows: Vec::new() };
+    for Ranking { follower, trees, ranks } in rankings {
+        let Some(Ranks { pairs, measures }) = ranks else { continue };
+        if ranked.rows.is_empty() {
+            ranked.header.extend(measures.iter().map(|(key, _)| measure_name(key)));
+        }
+        let tau = |(_, tau): &(_, Option<f64>)| tau.map_or("–".to_owned(), |tau| format!("{tau:.2}"));
+        let mut cells = vec![follower.name().to_owned(), trees.to_string(), pairs.to_string()];
+        cells.extend(measures.iter().map(tau));
+        ranked.rows.push(cells);
+    }
+    Some(ranked)
+}
+
+/// A table of ranks; without rows there are too few trees for it.
+pub(crate) struct Ranked {
+    pub header: Vec<&'static str>,
+    pub rows: Vec<Vec<String>>,
+}
+
+/// The title of a table of ranks.
+pub(crate) const RANKED: &str =
+    "How measures rank the trees by time, Kendall's τ over pairs that differ by more than 2%";
+
 /// A fitted cost in nanoseconds with its standard error; a dash where it could not be told.
-pub(crate) fn estimate(estimate: Option<Estimate>) -> String {
-    let text = |Estimate { value, error }| format!("{:.2} ± {:.2}", value * 1e9, error * 1e9);
+fn estimate(estimate: Option<Estimate>) -> String {
+    let text = |Estimate { value, error }| format!("{value:.1} ± {error:.1}");
     estimate.map_or("–".to_owned(), text)
 }
 

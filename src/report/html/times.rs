@@ -39,68 +39,42 @@ pub fn embrees(comparison: &Comparison, recording: &RecordingResult) -> Markup {
     let Some(kernels::Shown { header, rows, notes }) = kernels::shown(comparison, recording) else {
         return html! {};
     };
-    let body = html! {
-        tbody {
-            @for row in &rows {
-                tr {
-                    @for (column, cell) in row.iter().enumerate() {
-                        @if column == 0 { th scope="row" { (cell) } } @else { td { (cell) } }
-                    }
-                }
-            }
-        }
-    };
     html! {
-        @if !rows.is_empty() { (table("Embree's kernels on each tree", &header, 1, body)) }
+        @if !rows.is_empty() { (cells("Embree's kernels on each tree", &header, 1, &rows)) }
         @for note in &notes { p.soft { (note) } }
     }
 }
 
 fn fits(comparison: &Comparison, recording: &RecordingResult) -> Markup {
-    let fitted = explained::fitted(comparison, recording);
-    let header = ["Order", "trees", "groups", "query", "visit", "box", "primitive", "c_P / c_I", "R²"];
-    let rows = html! {
-        tbody {
-            @for found in &fitted {
-                tr {
-                    th scope="row" { (found.traversal.name()) }
-                    td.text { (found.trees) " " (found.form) }
-                    @if let Some(fit) = &found.fit {
-                        td { (fit.observations) }
-                        @for estimate in [fit.query, fit.node_visit, fit.box_test, fit.primitive_test] { td { (time::estimate(estimate)) } }
-                        td { @if let Some(ratio) = fit.ratio() { (format!("{ratio:.2}")) } @else { "–" } }
-                        td { (format!("{:.4}", fit.r_squared)) }
-                    } @else {
-                        td colspan="7" { "too few groups of queries, or all alike" }
-                    }
-                }
-            }
-        }
-    };
+    let fits = time::fits(comparison, recording);
     html! {
-        @if !fitted.is_empty() {
-            (table("Costs fitted to the times by least squares, nanoseconds ± standard error", &header, 2, rows))
-            p.soft { "In a binary tree each visit is two box tests, so the two cannot be told apart: the visit has both, and c_I is half of it." }
+        @if !fits.is_empty() {
+            (cells("Costs fitted to the times, nanoseconds ± standard error", &time::FIT_HEADER, time::FIT_NAMES, &fits))
+            p.soft { (time::FIT_WORDS) }
         }
     }
 }
 
 fn rankings(comparison: &Comparison, recording: &RecordingResult) -> Markup {
-    let rankings = explained::rankings(comparison, recording);
-    let Some(first) = rankings.first() else { return html! {} };
-    let names = first.measures.iter().map(|(key, _)| time::measure_name(key));
-    let header: Vec<&str> = std::iter::once("Order").chain(names).collect();
-    let rows = html! {
+    match time::rankings(comparison, recording) {
+        Some(ranked) if ranked.rows.is_empty() => html! { p.soft { (explained::TOO_FEW) "." } },
+        Some(time::Ranked { header, rows }) => cells(time::RANKED, &header, 1, &rows),
+        None => html! {},
+    }
+}
+
+/// A table of cells, the first ones of a row its names.
+fn cells(title: &str, header: &[&str], names: usize, rows: &[Vec<String>]) -> Markup {
+    let body = html! {
         tbody {
-            @for ranking in &rankings {
+            @for row in rows {
                 tr {
-                    th scope="row" { (ranking.traversal.name()) }
-                    @for (_, tau) in &ranking.measures { td { @if let Some(tau) = tau { (format!("{tau:.2}")) } @else { "–" } } }
+                    @for (column, cell) in row.iter().enumerate() {
+                        @if column < names { th scope="row" { (cell) } } @else { td { (cell) } }
+                    }
                 }
             }
         }
     };
-    html! {
-        (table("How measures rank the trees by their time: Kendall's τ, 1 alike, −1 in reverse", &header, 1, rows))
-    }
+    table(title, header, names, body)
 }
