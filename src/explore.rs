@@ -6,6 +6,7 @@
 //! |---|---|
 //! | [`walk`] | where am I in the tree, and where can I go |
 //! | [`queries`] | which of the recorded queries take part, and how they are shared among threads |
+//! | [`price`] | what a visit, a leaf and a block of triangles cost in a tree |
 //! | [`count`] | how often each node was opened and each triangle tested |
 //! | [`shares`] | what part of all that is spent in a node and below it |
 //! | [`heat`] | and in which triangles and pixels |
@@ -23,6 +24,7 @@ pub mod count;
 pub mod crossing;
 pub mod diagram;
 pub mod heat;
+pub mod price;
 pub mod queries;
 pub mod rays;
 pub mod shares;

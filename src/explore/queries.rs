@@ -3,6 +3,7 @@
 //! A window cannot wait for a hundred million queries: of a large recording, chunks spread over the file are read, and of those a sample is
 //! taken. Which ones depends on the file and the limit alone, so a picture is the same each time; [`Sampled`] says what it stands for.
 
+use super::price::Price;
 use crate::format::FormatError;
 use crate::format::rays::{Chunk, Rays};
 use crate::progress::Progress;
@@ -19,13 +20,14 @@ const PIECE: usize = 2048;
 /// the file, and take longer to read.
 const SPREAD: u64 = 16;
 
-/// A tree, and how it is asked.
+/// A tree, how it is asked, and what that costs.
 #[derive(Clone, Copy, Debug)]
 pub struct Asked<'a> {
     pub prepared: &'a Prepared,
     pub traversal: Traversal,
     /// Of depth-first occlusion queries.
     pub order: &'a OcclusionOrder,
+    pub price: Price,
 }
 
 impl Asked<'_> {

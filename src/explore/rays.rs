@@ -6,7 +6,6 @@ use crate::format::rays::{NO_PATH, Purpose, Rays, Record, Reject};
 use crate::geometry::{Aabb, Ray, Vec3};
 use crate::progress::Progress;
 use crate::replay::query::{Choice, Query};
-use crate::replay::tally::Costs;
 use crate::training::even;
 use crate::traverse::{Counts, Recorded, Scratch};
 use rayon::prelude::*;
@@ -71,8 +70,9 @@ pub fn fetch(rays: &Rays, choice: &Choice, number: u64) -> Result<Option<Kept>, 
 pub struct Wanted<'a> {
     /// Only those that hit something, or only those that do not.
     pub hit: Option<bool>,
-    /// Only those whose Γ over this tree is within the range; without, queries are not asked, and have no cost.
-    pub cost: Option<(Asked<'a>, Costs, RangeInclusive<f64>)>,
+    /// Only those whose cost over this tree, in nanoseconds, is within the range; without, queries
+    /// are not asked, and have no cost.
+    pub cost: Option<(Asked<'a>, RangeInclusive<f64>)>,
     /// One of so many, at least 1: spread over the file, not in step with its rows.
     pub every: u64,
     /// At most so many.
@@ -92,7 +92,7 @@ pub struct Segment {
     pub hit: bool,
     /// Whether it goes on behind `to`, which then lies beyond the scene.
     pub goes_on: bool,
-    /// Γ; NaN when it was not asked for.
+    /// In nanoseconds; NaN when it was not asked for.
     pub cost: f32,
 }
 
@@ -148,14 +148,14 @@ pub fn segments(
             return;
         }
         let Some(mut segment) = Segment::of(query.number, query.record, bounds) else { return };
-        if let Some((asked, costs, range)) = &wanted.cost {
+        if let Some((asked, range)) = &wanted.cost {
             let mut counts = Counts::default();
             asked.ask(query, &mut counts, scratch);
-            let gamma = costs.gamma(&counts);
-            if !range.contains(&gamma) {
+            let cost = asked.price.cost(query.record.is_occlusion(), 1, counts);
+            if !range.contains(&cost) {
                 return;
             }
-            segment.cost = gamma as f32;
+            segment.cost = cost as f32;
         }
         list.push(segment);
     })?;

@@ -1,22 +1,26 @@
 //! What part of all work is spent in a node, and below it: the numbers beside a node, and what icicles and colours show.
 //!
-//! Work is Γ = c_I · box tests + c_P · primitive tests, as the real traversal counts it ([`super::count`]). A test of a box is spent at the node
-//! whose child the box is of; that of the root's box at the root.
+//! Work is what a query is expected to take ([`super::price`]), from the visits, leaves and blocks
+//! that the real traversal counts ([`super::count`]). A visit is spent at the node whose children
+//! are tested, a block at its leaf, and what a query takes on any tree at the root. Tests of boxes
+//! and triangles, the paper's Γ, stand beside it.
 
-use super::count::Counted;
+use super::count::{Counted, NodeCount};
+use super::price::Price;
 use super::walk::Walk;
 use crate::replay::tally::Costs;
 use crate::traverse::Counts;
-use crate::tree::statistics::node_cost;
+use crate::tree::statistics::half_area;
 
 /// What a node's part of the whole is measured in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Measure {
     /// Triangles in its leaves.
     Triangles,
-    /// Γ of the queries that were asked.
+    /// Nanoseconds of the queries that were asked.
     Cost,
-    /// Expected cost by surface area: the terms of the SAH cost.
+    /// What surface area expects of them: every node opened by so many queries as its area is of
+    /// the root's, and all in it tested.
     Area,
 }
 
@@ -26,14 +30,19 @@ impl Measure {
 
 /// Counts of one tree, summed along it.
 ///
-/// Takes 32 bytes a node beside the counts.
+/// Takes 56 bytes a node beside the counts.
 #[derive(Clone, Debug)]
 pub struct Shares {
     pub counted: Counted,
+    pub price: Price,
+    /// Of Γ.
     pub costs: Costs,
-    /// Of each node, what is spent at it and below.
+    /// Of each node, what is counted at it and below.
     below: Vec<Counts>,
-    /// Likewise the terms of the SAH cost.
+    /// Likewise nanoseconds.
+    cost: Vec<f64>,
+    /// Likewise what area expects: nanoseconds of one query through the root's box, times half the
+    /// root's area.
     area: Vec<f64>,
 }
 
@@ -55,47 +64,58 @@ pub struct NodeShare {
     pub overlapped_share: f64,
     /// Queries that opened it.
     pub opened: u64,
-    /// Spent at the node itself.
-    pub own: Counts,
-    /// Spent at the node and below.
-    pub below: Counts,
-    /// `own` and `below` as parts of the whole Γ.
-    pub own_share: f64,
+    /// Spent at the node and below, in nanoseconds of a query on average, and as a part of the
+    /// whole.
+    pub cost: f64,
     pub share: f64,
-    /// Of the SAH cost, at the node and below.
+    /// Spent at the node itself, as a part of the whole.
+    pub own_share: f64,
+    /// What area expects to be spent at the node and below, as a part of the whole.
     pub area_share: f64,
+    /// Counted at the node itself.
+    pub own: Counts,
+    /// Counted at the node and below.
+    pub below: Counts,
 }
 
 impl Shares {
     /// Sums `counted`, of the tree of `walk`.
-    pub fn of(walk: &Walk, counted: Counted, costs: Costs) -> Shares {
+    pub fn of(walk: &Walk, counted: Counted, price: Price, costs: Costs) -> Shares {
         let nodes = walk.tree().nodes;
+        let occlusions = ratio(counted.occlusions as f64, counted.queries as f64);
         let mut shares = Shares {
             counted,
+            price,
             costs,
             below: vec![Counts::default(); nodes.len()],
+            cost: vec![0.0; nodes.len()],
             area: vec![0.0; nodes.len()],
         };
         // Children stand behind their parents.
         for (index, node) in nodes.iter().enumerate().rev() {
             let mut below = shares.own(walk, index as u32);
-            let mut area = node_cost(node, costs.c_i, costs.c_p);
+            let mut cost = shares.own_cost(walk, index as u32);
+            let mut area = half_area(node) * price.opening(node, occlusions);
             if !node.is_leaf() {
                 node.range().for_each(|child| below += shares.below[child]);
+                cost += shares.cost[node.range()].iter().sum::<f64>();
                 area += shares.area[node.range()].iter().sum::<f64>();
             }
-            (shares.below[index], shares.area[index]) = (below, area);
+            (shares.below[index], shares.cost[index], shares.area[index]) = (below, cost, area);
         }
         shares
     }
 
-    /// What is spent at a node itself.
+    /// What is counted at a node itself.
     pub fn own(&self, walk: &Walk, node: u32) -> Counts {
         let count = &self.counted.nodes[node as usize];
         let opened = u64::from(count.opened);
-        let mut own = Counts { primitive_tests: count.primitive_tests, ..Counts::default() };
+        let NodeCount { primitive_tests, block_tests, .. } = *count;
+        let mut own = Counts { primitive_tests, block_tests, ..Counts::default() };
         let node_of_file = &walk.tree().nodes[node as usize];
-        if !node_of_file.is_leaf() {
+        if node_of_file.is_leaf() {
+            own.leaf_visits = opened;
+        } else {
             own.node_visits = opened;
             own.box_tests = opened * node_of_file.len() as u64;
         }
@@ -105,15 +125,42 @@ impl Shares {
         own
     }
 
-    /// What is spent at a node and below.
+    /// Nanoseconds that are spent at a node itself by all queries.
+    pub fn own_cost(&self, walk: &Walk, node: u32) -> f64 {
+        let count = &self.counted.nodes[node as usize];
+        let is_leaf = walk.tree().nodes[node as usize].is_leaf();
+        let counts = |opened: u32, block_tests: u64| {
+            let opened = u64::from(opened);
+            let [node_visits, leaf_visits] = if is_leaf { [0, opened] } else { [opened, 0] };
+            Counts { node_visits, leaf_visits, block_tests, ..Counts::default() }
+        };
+        let occlusion_blocks = u64::from(count.occlusion_block_tests);
+        let closest_hit = counts(count.opened - count.occlusions, count.block_tests - occlusion_blocks);
+        let occlusion = counts(count.occlusions, occlusion_blocks);
+        let Counted { queries, occlusions, .. } = self.counted;
+        let [closest_hits, occlusions] = if node == 0 { [queries - occlusions, occlusions] } else { [0, 0] };
+        self.price.cost(false, closest_hits, closest_hit) + self.price.cost(true, occlusions, occlusion)
+    }
+
+    /// The same as a part of the whole.
+    pub fn own_share(&self, walk: &Walk, node: u32) -> f64 {
+        ratio(self.own_cost(walk, node), self.cost[0])
+    }
+
+    /// What is counted at a node and below.
     #[inline]
     pub fn below(&self, node: u32) -> Counts {
         self.below[node as usize]
     }
 
-    /// What all queries cost.
+    /// What is counted of all queries.
     pub fn total(&self) -> Counts {
         self.below[0]
+    }
+
+    /// Nanoseconds of a query on average; 0 when none was asked.
+    pub fn mean_cost(&self) -> f64 {
+        ratio(self.cost[0], self.counted.queries as f64)
     }
 
     /// Γ of a query on average; 0 when none was asked.
@@ -127,7 +174,7 @@ impl Shares {
         let of = |value: &dyn Fn(u32) -> f64| ratio(value(node), value(0));
         match measure {
             Measure::Triangles => of(&|node| walk.triangles(node).len() as f64),
-            Measure::Cost => of(&|node| self.costs.gamma(&self.below(node))),
+            Measure::Cost => of(&|node| self.cost[node as usize]),
             Measure::Area => of(&|node| self.area[node as usize]),
         }
     }
@@ -151,7 +198,6 @@ impl Shares {
         let (root, this) = (&nodes[0], &nodes[node as usize]);
         let count = &self.counted.nodes[node as usize];
         let (own, below) = (self.own(walk, node), self.below(node));
-        let total = self.costs.gamma(&self.total());
         let area = f64::from(this.bounds().area());
         NodeShare {
             level: walk.level(node),
@@ -163,11 +209,12 @@ impl Shares {
             overlapped: count.overlapped.into(),
             overlapped_share: ratio(count.overlapped.into(), self.counted.queries as f64),
             opened: count.opened.into(),
+            cost: ratio(self.cost[node as usize], self.counted.queries as f64),
+            share: self.share(walk, Measure::Cost, node),
+            own_share: self.own_share(walk, node),
+            area_share: self.share(walk, Measure::Area, node),
             own,
             below,
-            own_share: ratio(self.costs.gamma(&own), total),
-            share: self.share(walk, Measure::Cost, node),
-            area_share: self.share(walk, Measure::Area, node),
         }
     }
 }

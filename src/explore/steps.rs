@@ -6,11 +6,12 @@
 //! What waits: depth first, a stack; in ray order, a queue sorted by where boxes are entered. Either is made anew for any step from the steps
 //! before it ([`Steps::state_at`]).
 
+use super::price::Price;
 use super::queries::Asked;
 use crate::format::rays::{NO_DEPTH, NO_PATH, NO_TRIANGLE, Record, kind};
 use crate::geometry::{Ray, Vec3};
 use crate::replay::query::Query;
-use crate::traverse::{Hit, Link, Observer, PreparedRay, PreparedTriangle, Scratch, Traversal};
+use crate::traverse::{Counts, Hit, Link, Observer, PreparedRay, PreparedTriangle, Scratch, Traversal};
 use crate::tree::TreeView;
 
 /// A subtree that waits to be opened.
@@ -65,9 +66,10 @@ pub struct Step {
     pub event: Event,
     /// End of the interval: the best hit so far, else the ray's.
     pub end: f32,
-    /// Tests so far.
-    pub box_tests: u64,
-    pub primitive_tests: u64,
+    /// Nanoseconds so far; a block of triangles counts with its first.
+    pub cost: f64,
+    /// Visits, leaves, blocks and tests so far.
+    pub counts: Counts,
 }
 
 /// The traversal of one query.
@@ -111,8 +113,9 @@ impl Steps {
             node: 0,
             end: ray.tfar,
             hits: Vec::new(),
-            box_tests: 0,
-            primitive_tests: 0,
+            price: asked.price,
+            occlusion: query.record.is_occlusion(),
+            counts: Counts::default(),
         };
         let answer = asked.ask(query, &mut recorder, &mut Scratch::default());
         Steps { traversal: asked.traversal, steps: recorder.steps, answer }
@@ -166,14 +169,15 @@ struct Recorder<'t> {
     end: f32,
     /// Hits among the triangles that are being tested.
     hits: Vec<Hit>,
-    box_tests: u64,
-    primitive_tests: u64,
+    price: Price,
+    occlusion: bool,
+    counts: Counts,
 }
 
 impl Recorder<'_> {
     fn step(&mut self, event: Event) {
-        let Recorder { end, box_tests, primitive_tests, .. } = *self;
-        self.steps.push(Step { event, end, box_tests, primitive_tests });
+        let Recorder { end, counts, price, occlusion, .. } = *self;
+        self.steps.push(Step { event, end, cost: price.cost(occlusion, 1, counts), counts });
     }
 }
 
@@ -185,12 +189,12 @@ impl From<&Link> for Waiting {
 
 impl Observer for Recorder<'_> {
     fn root(&mut self) {
-        self.box_tests += 1;
+        self.counts.root();
         self.step(Event::Root { entry: self.root });
     }
 
     fn inner(&mut self, node: &Link) {
-        self.box_tests += u64::from(node.count);
+        self.counts.inner(node);
         self.node = node.node;
     }
 
@@ -213,6 +217,7 @@ impl Observer for Recorder<'_> {
     }
 
     fn leaf(&mut self, leaf: &Link) {
+        self.counts.leaf(leaf);
         self.node = leaf.node;
         self.step(Event::Leaf { node: leaf.node });
     }
@@ -222,8 +227,9 @@ impl Observer for Recorder<'_> {
     }
 
     fn primitives(&mut self, triangles: impl ExactSizeIterator<Item = PreparedTriangle>) {
+        self.counts.block_tests += 1;
         for PreparedTriangle { index, .. } in triangles {
-            self.primitive_tests += 1;
+            self.counts.primitive_tests += 1;
             let hit = self.hits.iter().find(|hit| hit.triangle == index).map(|hit| hit.t);
             self.end = hit.unwrap_or(self.end);
             self.step(Event::Triangle { leaf: self.node, triangle: index, hit });

@@ -1,8 +1,9 @@
 //! Two trees over the same triangles and the same queries: where one spends more than the other.
 //!
-//! Nodes of different trees cannot be compared, triangles can: each tree's Γ is laid out over them ([`super::heat`]), and a node of one tree is
-//! then as expensive in the other as its triangles are there. What counts are shares of each tree's own Γ, so that a tree that is dearer
-//! everywhere does not hide where.
+//! Nodes of different trees cannot be compared, triangles can: each tree's cost is laid out over
+//! them ([`super::heat`]), and a node of one tree is then as expensive in the other as its
+//! triangles are there. What counts are shares of each tree's own cost, so that a tree that is
+//! dearer everywhere does not hide where.
 
 use super::walk::Walk;
 
@@ -11,7 +12,7 @@ use super::walk::Walk;
 pub struct Contrast {
     /// In the first tree.
     pub node: u32,
-    /// Of its triangles, as a part of all Γ of the tree that they are in: the first, the second.
+    /// Of its triangles, as a part of all cost of the tree that they are in: the first, the second.
     pub shares: [f64; 2],
 }
 

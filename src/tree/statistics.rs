@@ -38,7 +38,7 @@ impl Statistics {
 }
 
 /// Half the surface area of a node's box, in double precision: coordinates of 1e38 are legal, their products are not in single.
-fn half_area(node: &Node) -> f64 {
+pub fn half_area(node: &Node) -> f64 {
     let edge = (node.upper.as_dvec3() - node.lower.as_dvec3()).max(DVec3::ZERO);
     edge.x * edge.y + edge.y * edge.z + edge.z * edge.x
 }

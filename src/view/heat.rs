@@ -62,7 +62,7 @@ pub fn short(value: f64) -> String {
 fn values(color: SurfaceColor, walk: &Walk, shares: &Shares) -> Option<(&'static str, Vec<f64>)> {
     let counts = &shares.counted.triangles;
     match color {
-        SurfaceColor::Cost => Some(("tests per triangle, boxes too", per_triangle(walk, shares))),
+        SurfaceColor::Cost => Some(("cost per triangle, ns of all queries", per_triangle(walk, shares))),
         SurfaceColor::Tests => {
             Some(("primitive tests per triangle", counts.iter().map(|count| count.tests.into()).collect()))
         }
@@ -97,7 +97,7 @@ pub fn differences([first, second]: [(&Walk, &Shares); 2]) -> (Vec<Rgba>, Legend
     let differences: Vec<f64> = parts[0].iter().zip(&parts[1]).map(|(a, b)| a - b).collect();
     let (_, colors) = differences_of(&differences);
     let legend = Legend::Difference {
-        title: "part of the cost: which tree's is larger".to_owned(),
+        title: "share of the cost: which tree's is larger".to_owned(),
         low: "right tree".to_owned(),
         high: "left tree".to_owned(),
     };

@@ -11,7 +11,7 @@ pub enum SurfaceColor {
     Plain,
     /// By the child of the current node that holds them
     Subtree,
-    /// By what queries spend on each triangle and on the boxes above it
+    /// By what queries spend, in nanoseconds, at each triangle's leaf and on the nodes above it
     Cost,
     /// By tests of each triangle
     Tests,
@@ -138,20 +138,23 @@ pub struct RayLayer {
 /// What colours pixels of the recorded image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, clap::ValueEnum)]
 pub enum PixelColor {
-    /// By what the queries of each pixel cost in the tree
+    /// By what the queries of each pixel cost in the tree, in nanoseconds
     #[default]
     Cost,
     /// By how much more they cost in the first tree than in the second
     Difference,
+    /// By their tests of boxes and triangles, the paper's Γ
+    Tests,
 }
 
 impl PixelColor {
-    pub const ALL: [PixelColor; 2] = [PixelColor::Cost, PixelColor::Difference];
+    pub const ALL: [PixelColor; 3] = [PixelColor::Cost, PixelColor::Difference, PixelColor::Tests];
 
     pub fn name(self) -> &'static str {
         match self {
             PixelColor::Cost => "cost per pixel",
             PixelColor::Difference => "difference of cost",
+            PixelColor::Tests => "tests per pixel",
         }
     }
 }

@@ -3,6 +3,9 @@
 //! Files stay mapped until the process ends: everything in a viewer borrows from them, on many threads, and a process shows one set of files.
 
 use crate::compare::{Candidate, CompareError, check_scenes, image_size};
+use crate::cost::Costs;
+use crate::explore::price::Price;
+use crate::explore::queries::Asked;
 use crate::explore::walk::Walk;
 use crate::files::{FileError, MappedFile};
 use crate::format::bvh::Bvh;
@@ -47,11 +50,17 @@ pub struct OpenTree {
     /// The tree itself: what is measured and walked through.
     pub prepared: Prepared,
     pub order: OcclusionOrder,
+    pub price: Price,
     /// A wider one over the same triangles, for pictures, once it is there.
     caster: OnceLock<Prepared>,
 }
 
 impl OpenTree {
+    /// How it is asked when its work is counted.
+    pub fn asked(&self, traversal: Traversal) -> Asked<'_> {
+        Asked { prepared: &self.prepared, traversal, order: &self.order, price: self.price }
+    }
+
     /// The tree that pictures are cast through.
     pub fn caster(&self) -> &Prepared {
         self.caster.get().unwrap_or(&self.prepared)
@@ -74,7 +83,8 @@ impl OpenTree {
         let order = OcclusionOrder::new(None, bvh.tree, bvh.order);
         let order = order.map_err(|source| LoadError::Order { path: label.clone(), source })?;
         let prepared = Prepared::new(bvh.tree, bvh.triangles, bvh.geometries);
-        Ok(OpenTree { path: path.to_owned(), bvh, walk, prepared, order, caster: OnceLock::new() })
+        let price = Price::of(bvh.tree, &Costs::default());
+        Ok(OpenTree { path: path.to_owned(), bvh, walk, prepared, order, price, caster: OnceLock::new() })
     }
 
     /// Makes the tree for pictures: a binary one is collapsed to eight children a node, others are good as they are.

@@ -11,9 +11,8 @@ use super::panels;
 use super::results::{COSTS, every_query};
 use super::shared::{Legend, Shared};
 use super::work::{Latest, Wake};
-use crate::explore::heat::per_pixel;
-use crate::explore::queries::{Asked, Source};
-
+use crate::explore::heat::{PixelWork, per_pixel};
+use crate::explore::queries::Source;
 use crate::render::camera::{Camera, View};
 use crate::replay::pixels::ImageSize;
 use crate::traverse::Traversal;
@@ -31,12 +30,6 @@ const CELLS: usize = 24;
 const SAME_PLACE: f32 = 1e-3;
 /// Width of the map in a corner, in widths of the picture, and its height at most.
 const CORNER: [f32; 2] = [0.32, 0.45];
-
-/// Γ of every pixel, row by row.
-struct PixelCosts {
-    size: ImageSize,
-    costs: Vec<f64>,
-}
 
 /// A map as it was last coloured, and from what.
 struct Colored {
@@ -56,7 +49,7 @@ struct Map {
 /// The maps of all trees.
 #[derive(Default)]
 pub struct Pixels {
-    costs: Vec<Latest<Traversal, PixelCosts>>,
+    work: Vec<Latest<Traversal, PixelWork>>,
     colored: Vec<Option<Colored>>,
 }
 
@@ -71,46 +64,49 @@ impl Pixels {
         wake: &Wake,
     ) {
         let Some(size) = recording.image else { return };
-        self.costs.resize_with(self.costs.len().max(number + 1), Latest::default);
+        self.work.resize_with(self.work.len().max(number + 1), Latest::default);
         let steps = recording.rays.query_count();
         let (tree, recording) = (tree.clone(), recording.clone());
-        self.costs[number].ask(&traversal, steps, wake, move |progress| {
-            let asked = Asked { prepared: &tree.prepared, traversal, order: &tree.order };
+        self.work[number].ask(&traversal, steps, wake, move |progress| {
             let source = Source { rays: &recording.rays, choice: every_query(&recording), limit: LOOKED_AT };
-            let (pixels, _) =
-                per_pixel(&asked, &source, size, progress).map_err(|error| error.to_string())?;
-            let costs = pixels.costs(&COSTS);
-            if costs.iter().all(|&cost| cost == 0.0) {
+            let work = per_pixel(&tree.asked(traversal), &source, size, &COSTS, progress);
+            let work = work.map_err(|error| error.to_string())?;
+            // Every query tests the root's box.
+            if work.gammas.iter().all(|&gamma| gamma == 0.0) {
                 return Err("no query says which pixel it serves".to_owned());
             }
-            Ok(PixelCosts { size, costs })
+            Ok(work)
         });
     }
 
     pub fn is_busy(&self) -> bool {
-        self.costs.iter().any(|costs| costs.fraction().is_some())
+        self.work.iter().any(|work| work.fraction().is_some())
     }
 
     /// The map of a tree as the layer wants it, once what it needs has been counted.
     fn map(&mut self, context: &egui::Context, layer: &PixelLayer, number: usize) -> Option<Map> {
         let trees = match layer.color {
-            PixelColor::Cost => vec![number],
+            PixelColor::Cost | PixelColor::Tests => vec![number],
             PixelColor::Difference => vec![0, 1],
         };
-        let costs: Vec<Arc<PixelCosts>> =
-            trees.iter().map(|&tree| self.costs.get(tree)?.value.clone()).collect::<Option<_>>()?;
-        let stamps: Vec<usize> = costs.iter().map(|costs| Arc::as_ptr(costs) as usize).collect();
-        let size = costs.first()?.size;
+        let work: Vec<Arc<PixelWork>> =
+            trees.iter().map(|&tree| self.work.get(tree)?.value.clone()).collect::<Option<_>>()?;
+        let stamps: Vec<usize> = work.iter().map(|work| Arc::as_ptr(work) as usize).collect();
+        let size = work.first()?.size;
         self.colored.resize_with(self.colored.len().max(number + 1), || None);
         let colored = &mut self.colored[number];
         let fits = |old: &Colored| old.stamps == stamps && old.layer.colors_as(layer);
         if !colored.as_ref().is_some_and(fits) {
-            let (colors, legend) = match &costs[..] {
+            let (colors, legend) = match &work[..] {
                 [first, second] => differences(&first.costs, &second.costs),
                 _ => {
-                    let scale = Scale::of(&costs[0].costs)?;
-                    let color = |&cost: &f64| layer.map.color(scale.share(cost));
-                    (costs[0].costs.iter().map(color).collect(), scale.legend("tests per pixel", layer.map))
+                    let (title, values) = match layer.color {
+                        PixelColor::Tests => ("box and triangle tests per pixel", &work[0].gammas),
+                        _ => ("cost per pixel, ns", &work[0].costs),
+                    };
+                    let scale = Scale::of(values)?;
+                    let color = |&value: &f64| layer.map.color(scale.share(value));
+                    (values.iter().map(color).collect(), scale.legend(title, layer.map))
                 }
             };
             let pixels = colors.into_iter().map(color32).collect();
@@ -124,12 +120,12 @@ impl Pixels {
 
     /// What is to be said while there is no map of a tree.
     fn excuse(&self, number: usize) -> String {
-        match self.costs.get(number) {
+        match self.work.get(number) {
             None => {
                 "The tree does not say how large the recorded image is: start with --image WxH.".to_owned()
             }
             Some(Latest { error: Some(error), .. }) => error.clone(),
-            Some(costs) => format!("costs of pixels: {:.0}%", 100.0 * costs.fraction().unwrap_or(0.0)),
+            Some(work) => format!("costs of pixels: {:.0}%", 100.0 * work.fraction().unwrap_or(0.0)),
         }
     }
 }
@@ -139,7 +135,7 @@ fn differences(first: &[f64], second: &[f64]) -> (Vec<super::paint::Rgba>, Legen
     let differences: Vec<f64> = first.iter().zip(second).map(|(a, b)| a - b).collect();
     let (high, colors) = differences_of(&differences);
     let legend = Legend::Difference {
-        title: "tests per pixel, left - right".to_owned(),
+        title: "cost per pixel, ns, left - right".to_owned(),
         low: format!("-{}", short(high)),
         high: format!("+{}", short(high)),
     };
@@ -182,7 +178,7 @@ pub fn show(ui: &Ui, shared: &mut Shared, number: usize, rect: Rect) -> Option<L
         }
     }
     // One legend is enough for a map that is the same in both pictures.
-    (layer.color == PixelColor::Cost || number == 0).then_some(legend)
+    (layer.color != PixelColor::Difference || number == 0).then_some(legend)
 }
 
 fn aspect(size: ImageSize) -> f32 {
@@ -259,15 +255,16 @@ pub fn picker(ui: &mut Ui, shared: &mut Shared, current: Option<u32>) -> Option<
 pub fn settings(ui: &mut Ui, shared: &mut Shared) {
     let two = shared.opened.trees.len() == 2;
     let excuse = (0..shared.opened.trees.len())
-        .find(|&number| shared.pixels.costs.get(number).is_none_or(|costs| costs.value.is_none()))
+        .find(|&number| shared.pixels.work.get(number).is_none_or(|work| work.value.is_none()))
         .map(|number| shared.pixels.excuse(number));
     let PixelLayer { visible, opacity, color, map } = &mut shared.layers.pixels;
     let mut there = false;
     let hint = "What the queries of each pixel cost: over the picture where one stands where the image was taken, else in a corner";
     panels::section(ui, visible, "Recorded image", hint, |ui| {
-        let possible = if two { &PixelColor::ALL[..] } else { &PixelColor::ALL[..1] };
-        panels::choose(ui, "pixels", color, possible, |color| color.name().to_owned());
-        if *color == PixelColor::Cost {
+        let is_possible = |color: &PixelColor| two || *color != PixelColor::Difference;
+        let possible: Vec<PixelColor> = PixelColor::ALL.into_iter().filter(is_possible).collect();
+        panels::choose(ui, "pixels", color, &possible, |color| color.name().to_owned());
+        if *color != PixelColor::Difference {
             panels::choose(ui, "pixel map", map, &super::paint::ColorMap::ALL, |map| map.name().to_owned());
         }
         panels::opacity(ui, opacity);

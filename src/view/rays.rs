@@ -4,10 +4,9 @@ use super::layers::{RayColor, RayLayer};
 use super::load::{OpenTree, Recording};
 use super::overlay::{Batch, Line, Overlay, Point, Shapes};
 use super::paint::{self, HIT, MISS, Rgba, color_of_cost, color_of_depth};
-use super::results::COSTS;
 use super::shared::Legend;
 use super::work::{Latest, Wake};
-use crate::explore::queries::{Asked, Sampled, Source};
+use crate::explore::queries::{Sampled, Source};
 use crate::explore::rays::{Segment, Wanted, segments};
 use crate::format::rays::{NO_DEPTH, Purpose};
 use crate::geometry::Aabb;
@@ -92,10 +91,7 @@ impl Rays {
         self.latest.ask(&question, steps, wake, move |progress| {
             let filter: Filter = asked.filter.parse().map_err(|error| format!("{error}"))?;
             let choice = Choice { scene: recording.scene, filter, held_out: None, sample: None };
-            let cost = asked.traversal.map(|(_, traversal)| {
-                let asked = Asked { prepared: &tree.prepared, traversal, order: &tree.order };
-                (asked, COSTS, 0.0..=f64::INFINITY)
-            });
+            let cost = asked.traversal.map(|(_, traversal)| (tree.asked(traversal), 0.0..=f64::INFINITY));
             let wanted = Wanted { hit: asked.hit, cost, every: asked.every, most: asked.most };
             let mut found = None;
             for limit in LOOKED_AT {
@@ -189,7 +185,7 @@ fn drawn(mut segments: Vec<Segment>, matched: u64, sampled: Sampled, by: RayColo
     let title = "rays".to_owned();
     let legend = match by {
         RayColor::Cost => Legend::Scale {
-            title: "tests per ray".to_owned(),
+            title: "cost per ray, ns".to_owned(),
             low: "0".to_owned(),
             high: format!("{high:.0} or more"),
             map: paint::ColorMap::Inferno,

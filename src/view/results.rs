@@ -3,7 +3,7 @@
 use super::load::{OpenTree, Recording};
 use super::work::{Wake, Work};
 use crate::explore::count::Counted;
-use crate::explore::queries::{Asked, Source};
+use crate::explore::queries::Source;
 use crate::explore::shares::Shares;
 use crate::progress::Progress;
 use crate::replay::query::Choice;
@@ -69,7 +69,7 @@ impl Results {
         let progress = Arc::new(Progress::watched(steps));
         self.progress = progress.clone();
         self.work = Some(Work::start(wake, move |_, give| {
-            let asked = Asked { prepared: &tree.prepared, traversal, order: &tree.order };
+            let asked = tree.asked(traversal);
             // Threads of its own: pictures do not wait behind it.
             let Ok(pool) = rayon::ThreadPoolBuilder::new().build() else { return };
             for limit in LIMITS {
@@ -78,7 +78,7 @@ impl Results {
                 if progress.is_stopped() {
                     return;
                 }
-                let shares = counted.map(|counted| Shares::of(&tree.walk, counted, COSTS));
+                let shares = counted.map(|counted| Shares::of(&tree.walk, counted, tree.price, COSTS));
                 let all = shares.as_ref().map_or(true, |shares| shares.counted.sampled.is_all());
                 give(shares.map_err(|error| error.to_string()));
                 if all {
@@ -99,7 +99,7 @@ fn source(recording: &Recording, limit: u64) -> Source<'_> {
     Source { rays: &recording.rays, choice: every_query(recording), limit }
 }
 
-/// What tests cost, everywhere in the window.
+/// What tests count in Γ, everywhere in the window.
 pub const COSTS: Costs = Costs { c_i: 1.0, c_p: 1.0 };
 
 /// All queries of the scene that is shown.

@@ -7,7 +7,7 @@ use super::pace::Pace;
 use super::pane::{Pane, Subject};
 use super::panels;
 use super::pixels;
-use super::shared::{Legend, Shared, Spot};
+use super::shared::{COST_HINT, Legend, Shared, Spot};
 use crate::geometry::Vec3;
 use crate::render::camera::{Camera, View};
 use eframe::egui::{self, Event, Key, Modifiers, PointerButton, Rect, Response, RichText, Sense, Ui, vec2};
@@ -158,6 +158,9 @@ impl Session {
         let shared = &self.shared;
         ui.horizontal(|ui| {
             let tree = shared.tree();
+            if let Some(cost) = shared.cost_said(shared.active) {
+                ui.strong(format!("cost of a query: {cost}")).on_hover_text(COST_HINT);
+            }
             ui.label(format!("{} triangles", panels::count(tree.triangles().len() as u64)));
             ui.label(format!("{} nodes", panels::count(tree.bvh.tree.nodes.len() as u64)));
             if let Some(recording) = &shared.opened.recording {
@@ -285,7 +288,10 @@ impl Session {
         };
         if self.frames.len() > 1 {
             let active = self.shared.active == number;
-            let name = self.shared.opened.trees[number].name();
+            let mut name = self.shared.opened.trees[number].name();
+            if let Some(cost) = self.shared.cost_said(number) {
+                name += &format!(": {cost}");
+            }
             let place = Rect::from_min_size(rect.min + vec2(8.0, 8.0), vec2(rect.width() - 16.0, 24.0));
             boxed(ui, place, &mut |ui| {
                 let text = RichText::new(&name);

@@ -10,11 +10,16 @@ use super::pixels::Pixels;
 use super::rays::Rays;
 use super::results::Results;
 use super::work::Wake;
-use crate::explore::shares::Measure;
+use crate::compare::relative;
+use crate::explore::shares::{Measure, Shares};
 use crate::explore::walk::Cursor;
 use crate::geometry::{Aabb, Ray, Vec3};
 use crate::traverse::Traversal;
 use std::sync::Arc;
+
+/// What cost is.
+pub const COST_HINT: &str = "What a query is expected to take, in ns of visits, leaves and blocks of triangles, as bvh-compare reports it; \
+     × is relative to the first tree";
 
 /// Most boxes that are drawn: more could not be told apart.
 pub const MOST_BOXES: usize = 4000;
@@ -125,6 +130,35 @@ impl Shared {
     /// The box of a node of the active tree.
     pub fn bounds(&self, node: u32) -> Aabb {
         self.tree().bvh.tree.nodes[node as usize].bounds()
+    }
+
+    /// Nanoseconds of a query over a tree, on average, once queries have been counted.
+    pub fn cost(&self, tree: usize) -> Option<f64> {
+        self.results.get(tree)?.shares.as_ref().map(|shares| shares.mean_cost())
+    }
+
+    /// The same relative to the first tree, once the same queries have been counted over both.
+    pub fn cost_ratio(&self, tree: usize) -> Option<f64> {
+        self.ratio(tree, Shares::mean_cost)
+    }
+
+    /// Γ relative to the first tree; also `None` between trees of different widths.
+    pub fn gamma_ratio(&self, tree: usize) -> Option<f64> {
+        let [own, first] = [tree, 0].map(|tree| self.opened.tree(tree).price);
+        own.compares_tests(&first).then(|| self.ratio(tree, Shares::mean_gamma)).flatten()
+    }
+
+    fn ratio(&self, tree: usize, mean: fn(&Shares) -> f64) -> Option<f64> {
+        let [first, own] = [0, tree].map(|tree| self.results.get(tree)?.shares.as_ref());
+        let (first, own) = first.zip(own)?;
+        (first.counted.sampled == own.counted.sampled).then(|| relative(mean(own), mean(first)))
+    }
+
+    /// The cost in words; of another than the first tree with its ratio.
+    pub fn cost_said(&self, tree: usize) -> Option<String> {
+        let ratio = self.cost_ratio(tree).filter(|_| tree > 0);
+        let ratio = ratio.map_or(String::new(), |ratio| format!(", ×{ratio:.3}"));
+        Some(format!("{:.1} ns{ratio}", self.cost(tree)?))
     }
 
     /// Takes what was counted in the background, and starts what has to be counted.

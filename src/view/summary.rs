@@ -1,8 +1,10 @@
 //! What a window shows, for machines.
 
+use super::load::OpenTree;
 use super::shared::Shared;
 use crate::geometry::Vec3;
 use serde::Serialize;
+use std::sync::Arc;
 
 /// A tree that was opened.
 #[derive(Debug, Serialize)]
@@ -14,8 +16,14 @@ pub struct TreeSummary {
     pub depth: usize,
     /// The node that the window shows.
     pub node: u32,
-    /// Γ per query on average, when a recording is there.
-    pub cost_per_query: Option<f64>,
+    /// Nanoseconds that a query is expected to take, when a recording is there, and that relative
+    /// to the first tree.
+    pub cost: Option<f64>,
+    pub cost_ratio: Option<f64>,
+    /// Γ per query on average, and relative to the first tree; that only between trees of one
+    /// width.
+    pub gamma: Option<f64>,
+    pub gamma_ratio: Option<f64>,
 }
 
 /// A recording that was opened.
@@ -43,17 +51,16 @@ pub struct Summary {
 impl Summary {
     pub fn of(shared: &Shared) -> Summary {
         let opened = &shared.opened;
-        let trees = opened.trees.iter().zip(&shared.results).zip(&shared.cursors);
-        let tree = |((tree, results), cursor): (
-            (&std::sync::Arc<super::load::OpenTree>, &super::results::Results),
-            &crate::explore::walk::Cursor,
-        )| TreeSummary {
+        let tree = |(number, tree): (usize, &Arc<OpenTree>)| TreeSummary {
             path: tree.path.display().to_string(),
             triangles: tree.triangles().len(),
             nodes: tree.bvh.tree.nodes.len(),
             depth: tree.bvh.statistics.depth,
-            node: cursor.node(),
-            cost_per_query: results.shares.as_ref().map(|shares| shares.mean_gamma()),
+            node: shared.cursors[number].node(),
+            cost: shared.cost(number),
+            cost_ratio: shared.cost_ratio(number),
+            gamma: shared.results[number].shares.as_ref().map(|shares| shares.mean_gamma()),
+            gamma_ratio: shared.gamma_ratio(number),
         };
         let counted = shared.results.iter().filter_map(|results| results.shares.as_ref());
         let recording = opened.recording.as_ref().map(|recording| RecordingSummary {
@@ -64,7 +71,7 @@ impl Summary {
         let view = shared.camera.view;
         let array = |v: Vec3| v.to_array();
         Summary {
-            trees: trees.map(tree).collect(),
+            trees: opened.trees.iter().enumerate().map(tree).collect(),
             recording,
             traversal: shared.traversal.key(),
             eye: array(view.eye),

@@ -1,7 +1,8 @@
-//! Two trees beside each other: the nodes in which one is most expensive relative to the other, to be clicked.
+//! Two trees beside each other: what each costs, and the nodes in which one is most expensive
+//! relative to the other, to be clicked.
 
 use super::panels::percent;
-use super::shared::Shared;
+use super::shared::{COST_HINT, Shared};
 use super::work::Latest;
 use crate::explore::heat::per_triangle;
 use crate::explore::versus::{Contrast, Side, Versus};
@@ -40,8 +41,6 @@ impl Compared {
         let counted = [active, 1 - active]
             .map(|tree| Some((shared.opened.trees[tree].clone(), shared.results[tree].shares.clone()?)));
         let [Some(first), Some(second)] = counted else { return };
-        let means = [&first, &second].map(|(_, shares)| shares.mean_gamma());
-        let names = [&first, &second].map(|(tree, _)| tree.name());
         let stamps = [&first, &second].map(|(_, shares)| Arc::as_ptr(shares) as usize);
         self.lists.ask(&(active, stamps), 1, &shared.wake, move |_| {
             let costs = [&first, &second].map(|(tree, shares)| per_triangle(&tree.walk, shares));
@@ -51,8 +50,6 @@ impl Compared {
             Ok(Lists { dearer: of(Side::First), cheaper: of(Side::Second) })
         });
         ui.add_space(6.0);
-        ui.strong(format!("{} beside {}", names[0], names[1]));
-        ui.label(format!("{:.1} and {:.1} tests per query", means[0], means[1]));
         let Some(lists) = self.lists.value.clone() else { return };
         for (title, list) in
             [("relatively dearer here", &lists.dearer), ("relatively cheaper here", &lists.cheaper)]
@@ -75,4 +72,27 @@ impl Compared {
             }
         }
     }
+}
+
+/// Shows what a query costs in each of two trees, and the tests that explain it; nothing until
+/// queries have been counted over both.
+pub fn means(ui: &mut Ui, shared: &Shared) {
+    let [Some(first), Some(second)] =
+        [0, 1].map(|tree: usize| shared.results.get(tree).and_then(|results| results.shares.as_ref()))
+    else {
+        return;
+    };
+    ui.strong("Cost of a query").on_hover_text(COST_HINT);
+    for (number, tree) in shared.opened.trees.iter().enumerate() {
+        let cost = shared.cost_said(number).unwrap_or_default();
+        ui.label(format!("{}: {cost}", tree.name())).on_hover_text(COST_HINT);
+    }
+    let gammas = [first, second].map(|shares| shares.mean_gamma());
+    let ratio = shared.gamma_ratio(1).map_or("–".to_owned(), |ratio| format!("×{ratio:.3}"));
+    ui.weak(format!("Γ {:.1} and {:.1}, {ratio}", gammas[0], gammas[1]))
+        .on_hover_text("Tests of boxes and triangles per query: the paper's cost");
+    if !first.price.compares_tests(&second.price) {
+        ui.weak("–: boxes of a node are tested together, so Γ does not compare trees of different widths");
+    }
+    ui.separator();
 }

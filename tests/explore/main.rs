@@ -10,12 +10,14 @@ mod work;
 
 use compare_support::files::{geometries, rays_bytes, records};
 use compare_support::*;
+use embree_trace::cost;
+use embree_trace::explore::price::Price;
 use embree_trace::explore::queries::{Asked, Source};
 use embree_trace::format::rays::{Rays, Record, Reject};
 use embree_trace::geometry::Triangle;
 use embree_trace::replay::query::Choice;
 use embree_trace::replay::tally::Costs;
-use embree_trace::traverse::{OcclusionOrder, Prepared, Traversal};
+use embree_trace::traverse::{Counts, OcclusionOrder, Prepared, Traversal};
 use embree_trace::tree::Tree;
 
 const COSTS: Costs = Costs { c_i: 0.6, c_p: 1.0 };
@@ -61,6 +63,16 @@ fn source<'a>(rays: &'a Rays<'a>, filter: &str, limit: u64) -> Source<'a> {
     Source { rays, choice: choice(filter), limit }
 }
 
-fn asked(prepared: &Prepared, traversal: Traversal) -> Asked<'_> {
-    Asked { prepared, traversal, order: &OcclusionOrder::Nearest }
+fn asked<'a>(tree: &Tree, prepared: &'a Prepared, traversal: Traversal) -> Asked<'a> {
+    Asked { prepared, traversal, order: &OcclusionOrder::Nearest, price: price(tree) }
+}
+
+fn price(tree: &Tree) -> Price {
+    Price::of(tree.view(), &cost::Costs::default())
+}
+
+/// Nanoseconds of one query, by hand from the constants of src/cost.rs.
+fn nanoseconds(occlusion: bool, counts: &Counts) -> f64 {
+    let [leaf, block] = if occlusion { [6.2, 2.9] } else { [7.7, 2.0] };
+    6.1 * counts.node_visits as f64 + leaf * counts.leaf_visits as f64 + block * counts.block_tests as f64
 }

@@ -1,6 +1,6 @@
 //! Segments to draw, queries of a pixel, and what passes a plane: against loops over all records.
 
-use super::{COSTS, Scene, asked, choice, source};
+use super::{Scene, asked, choice, nanoseconds, source};
 use embree_trace::explore::crossing::{Grid, Plane, overlaps, traffic};
 use embree_trace::explore::queries::Sampled;
 use embree_trace::explore::rays::{Kept, PixelIndex, Segment, Wanted, fetch, origins, segments};
@@ -23,7 +23,7 @@ fn segments_are_those_that_are_wanted() {
     let (rays, bounds) = (scene.rays(), bounds(&scene.triangles));
     let tree = &scene.trees()[2];
     let prepared = scene.prepared(tree);
-    let asked = asked(&prepared, Traversal::Odf);
+    let asked = asked(tree, &prepared, Traversal::Odf);
     let found = |filter: &str, wanted: &Wanted| {
         segments(&source(&rays, filter, u64::MAX), wanted, &bounds, &Progress::hidden()).expect("whole")
     };
@@ -54,10 +54,10 @@ fn segments_are_those_that_are_wanted() {
         let kept = fetch(&rays, &choice(""), query).expect("whole").expect("there");
         let mut counts = Counts::default();
         asked.ask(&kept.query(), &mut counts, &mut Scratch::default());
-        COSTS.gamma(&counts)
+        nanoseconds(kept.record.is_occlusion(), &counts)
     };
-    let dear = found("", &Wanted { cost: Some((asked, COSTS, 20.0..=30.0)), ..ANY });
-    let expected: Vec<u64> = (0..600).filter(|&query| (20.0..=30.0).contains(&cost(query))).collect();
+    let dear = found("", &Wanted { cost: Some((asked, 40.0..=90.0)), ..ANY });
+    let expected: Vec<u64> = (0..600).filter(|&query| (40.0..=90.0).contains(&cost(query))).collect();
     assert!(expected.len() > 20);
     assert_eq!(queries(&dear.list), expected);
     assert!(dear.list.iter().all(|segment| (f64::from(segment.cost) - cost(segment.query)).abs() < 1e-3));

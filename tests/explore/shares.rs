@@ -1,7 +1,8 @@
 //! Counts by node and triangle, their sums along the tree, and samples.
 
 use super::compare_support::files::geometries;
-use super::{COSTS, Scene, asked, choice, source};
+use super::{COSTS, Scene, asked, choice, nanoseconds, price, source};
+use embree_trace::cost::ByKind;
 use embree_trace::explore::count::Counted;
 use embree_trace::explore::queries::Sampled;
 use embree_trace::explore::shares::{Measure, Shares};
@@ -14,7 +15,7 @@ use embree_trace::traverse::{Counts, Masks, OcclusionOrder, Prepared, PreparedRa
 use embree_trace::tree::Tree;
 
 /// What replay counts.
-fn replayed(scene: &Scene, tree: &Tree, prepared: &Prepared, traversal: Traversal) -> (Counts, u64, u64) {
+fn replayed(scene: &Scene, tree: &Tree, prepared: &Prepared, traversal: Traversal) -> (ByKind, u64, u64) {
     let geometries = geometries(&scene.triangles);
     let judge = Judge {
         tree: tree.view(),
@@ -37,7 +38,7 @@ fn replayed(scene: &Scene, tree: &Tree, prepared: &Prepared, traversal: Traversa
         replay::replay(prepared, &judge, &scene.rays(), &options, &Progress::hidden()).expect("whole");
     let total = outcome.tallies.total;
     assert_eq!((total.mismatches, outcome.violation), (0, None));
-    (total.counts, total.hits, total.overlap.inner + total.overlap.leaves)
+    (total.by_kind, total.hits, total.overlap.inner + total.overlap.leaves)
 }
 
 #[test]
@@ -47,11 +48,16 @@ fn counts_are_those_of_replay_and_of_a_loop_over_all_boxes() {
     for tree in scene.trees() {
         let (walk, prepared) = (Walk::new(tree.view(), scene.triangles.len()), scene.prepared(&tree));
         for traversal in Traversal::ALL {
-            let (counts, hits, overlaps) = replayed(&scene, &tree, &prepared, traversal);
+            let (by_kind, hits, overlaps) = replayed(&scene, &tree, &prepared, traversal);
+            let ByKind { closest_hit, occlusion } = by_kind;
+            let mut counts = closest_hit.counts;
+            counts += occlusion.counts;
             let source = source(&rays, "", u64::MAX);
-            let counted = Counted::of(&walk, &asked(&prepared, traversal), &source, &Progress::hidden())
-                .expect("whole");
+            let counted =
+                Counted::of(&walk, &asked(&tree, &prepared, traversal), &source, &Progress::hidden())
+                    .expect("whole");
             assert_eq!((counted.queries, counted.hits), (500, hits));
+            assert_eq!(counted.occlusions, occlusion.queries);
             assert_eq!(counted.sampled, Sampled { taken: 500, looked_at: 500, of: 500 });
             assert_eq!(counted.triangles.iter().map(|t| u64::from(t.hits)).sum::<u64>(), hits);
             let tests = counted.triangles.iter().map(|triangle| u64::from(triangle.tests)).sum::<u64>();
@@ -70,9 +76,10 @@ fn counts_are_those_of_replay_and_of_a_loop_over_all_boxes() {
                 let count = &counted.nodes[index];
                 assert!((overlapped(0.999)..=overlapped(1.001)).contains(&count.overlapped), "{index}");
             }
-            let shares = Shares::of(&walk, counted, COSTS);
-            // Leaves and blocks have no share of Γ.
-            assert_eq!(shares.total(), Counts { leaf_visits: 0, block_tests: 0, ..counts });
+            let shares = Shares::of(&walk, counted, price(&tree), COSTS);
+            assert_eq!(shares.total(), counts);
+            let cost = nanoseconds(false, &closest_hit.counts) + nanoseconds(true, &occlusion.counts);
+            assert!((shares.mean_cost() - cost / 500.0).abs() < 1e-9 * cost);
             assert!((shares.mean_gamma() - COSTS.gamma(&counts) / 500.0).abs() < 1e-9);
         }
     }
@@ -85,10 +92,10 @@ fn shares_add_up_along_the_tree_and_large_ones_are_found() {
     let rays = scene.rays();
     for tree in scene.trees() {
         let (walk, prepared) = (Walk::new(tree.view(), scene.triangles.len()), scene.prepared(&tree));
-        let asked = asked(&prepared, Traversal::Odf);
+        let asked = asked(&tree, &prepared, Traversal::Odf);
         let source = source(&rays, "", u64::MAX);
         let counted = Counted::of(&walk, &asked, &source, &Progress::hidden()).expect("whole");
-        let shares = Shares::of(&walk, counted, COSTS);
+        let shares = Shares::of(&walk, counted, price(&tree), COSTS);
         for measure in Measure::ALL {
             let share = |node: u32| shares.share(&walk, measure, node);
             assert_eq!(share(0), 1.0);
@@ -124,8 +131,11 @@ fn nothing_asked_is_nothing_spent() {
     let scene = Scene::new(1, 1);
     let tree = &scene.trees()[0];
     let walk = Walk::new(tree.view(), scene.triangles.len());
-    let shares = Shares::of(&walk, Counted::nothing(&walk), COSTS);
-    assert_eq!((shares.mean_gamma(), shares.share(&walk, Measure::Cost, 0)), (0.0, 0.0));
+    let shares = Shares::of(&walk, Counted::nothing(&walk), price(tree), COSTS);
+    assert_eq!(
+        (shares.mean_gamma(), shares.mean_cost(), shares.share(&walk, Measure::Cost, 0)),
+        (0.0, 0.0, 0.0)
+    );
     assert_eq!(shares.share(&walk, Measure::Area, 0), 1.0);
     assert!(shares.node(&walk, 3).own == Counts::default());
 }
@@ -140,7 +150,7 @@ fn threads_change_nothing_and_samples_say_what_they_are() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
         let source = source(&rays, filter, limit);
         let progress = Progress::watched(source.steps());
-        let asked = asked(&prepared, Traversal::RayOrder);
+        let asked = asked(tree, &prepared, Traversal::RayOrder);
         let counted = pool.install(|| Counted::of(&walk, &asked, &source, &progress)).expect("whole");
         assert_eq!(progress.fraction(), 1.0);
         counted
@@ -159,7 +169,7 @@ fn threads_change_nothing_and_samples_say_what_they_are() {
     assert!(source(&rays, "", 20).steps() < 500, "whole chunks are left out");
     let stopped = Progress::hidden();
     stopped.stop();
-    let asked = asked(&prepared, Traversal::Odf);
+    let asked = asked(tree, &prepared, Traversal::Odf);
     let counted = Counted::of(&walk, &asked, &source(&rays, "", u64::MAX), &stopped).expect("whole");
     assert_eq!(counted.sampled, Sampled { taken: 0, looked_at: 0, of: 1500 });
 }

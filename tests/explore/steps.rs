@@ -32,7 +32,7 @@ fn steps_are_what_the_kernels_do() {
     for tree in scene.trees() {
         let prepared = scene.prepared(&tree);
         for traversal in Traversal::ALL {
-            let asked = asked(&prepared, traversal);
+            let asked = asked(&tree, &prepared, traversal);
             for number in 0..400 {
                 let kept = fetch(&scene.rays(), &choice(""), number).expect("whole").expect("there");
                 let query = kept.query();
@@ -44,10 +44,7 @@ fn steps_are_what_the_kernels_do() {
                 assert_eq!(steps.answer, asked.ask(&query, &mut counts, scratch));
                 assert_eq!(steps.answer.is_some(), asked.ask(&query, &mut (), scratch).is_some());
                 let last = steps.steps.last().expect("the root's");
-                assert_eq!(
-                    (last.box_tests, last.primitive_tests),
-                    (counts.box_tests, counts.primitive_tests)
-                );
+                assert_eq!(last.counts, counts);
                 assert_eq!(steps.answer.is_some(), record.is_hit());
                 if let (Some(hit), false) = (steps.answer, record.is_occlusion()) {
                     assert_eq!(hit.triangle, record.triangle);
@@ -64,12 +61,12 @@ fn steps_are_what_the_kernels_do() {
                     let state = steps.state_at(place);
                     match &step.event {
                         Event::Root { entry } => {
-                            assert_eq!((place, step.box_tests, state.len()), (0, 1, 0));
+                            assert_eq!((place, step.counts.box_tests, state.len()), (0, 1, 0));
                             assert_eq!(*entry, ray.entry(&tree.nodes[0].bounds(), ray.tfar));
                         }
                         Event::Visit { node, children, followed, pushed } => {
                             let range = tree.nodes[*node as usize].range();
-                            assert_eq!(step.box_tests - before.box_tests, range.len() as u64);
+                            assert_eq!(step.counts.box_tests - before.counts.box_tests, range.len() as u64);
                             assert!(children.iter().map(|child| child.node as usize).eq(range));
                             for child in children {
                                 let bounds = tree.nodes[child.node as usize].bounds();
@@ -80,7 +77,7 @@ fn steps_are_what_the_kernels_do() {
                         }
                         Event::Triangle { triangle, hit, leaf } => {
                             assert!(tree.primitives[tree.nodes[*leaf as usize].range()].contains(triangle));
-                            assert_eq!(step.primitive_tests, before.primitive_tests + 1);
+                            assert_eq!(step.counts.primitive_tests, before.counts.primitive_tests + 1);
                             assert!(hit.is_none_or(|t| t <= before.end && t == step.end));
                             assert!(hit.is_some() || step.end == before.end);
                         }
@@ -121,7 +118,7 @@ fn a_question_of_ones_own_is_followed_too() {
     let ray = Ray { origin, tnear: 0.0, direction: target - origin, tfar: f32::INFINITY };
     for (occlusion, traversal) in [(false, Traversal::Odf), (true, Traversal::RayOrder)] {
         let kept = Kept::from(question(ray, occlusion));
-        let steps = Steps::of(&asked(&prepared, traversal), tree.view(), &kept.query());
+        let steps = Steps::of(&asked(tree, &prepared, traversal), tree.view(), &kept.query());
         let hit = steps.answer.expect("there is a triangle on the way");
         assert!(hit.t <= 1.0001);
         let last = steps.point_at(&kept.query(), steps.steps.len() - 1);
@@ -130,7 +127,7 @@ fn a_question_of_ones_own_is_followed_too() {
         assert!(tree.nodes[0].bounds().lower.cmple(entry + 1e-4).all());
     }
     let away = Kept::from(question(Ray { direction: Vec3::Y, ..ray }, false));
-    let steps = Steps::of(&asked(&prepared, Traversal::Odf), tree.view(), &away.query());
+    let steps = Steps::of(&asked(tree, &prepared, Traversal::Odf), tree.view(), &away.query());
     assert_eq!((steps.steps.len(), steps.answer), (1, None));
     assert_eq!(steps.steps[0].event, Event::Root { entry: None });
     assert_eq!(steps.point_at(&away.query(), 0), None);

@@ -1,10 +1,10 @@
 //! Work laid out over triangles and pixels, two trees against each other, and a tree as a diagram.
 
 use super::compare_support::files::IMAGE;
-use super::{COSTS, Scene, asked, source};
+use super::{COSTS, Scene, asked, nanoseconds, price, source};
 use embree_trace::explore::count::Counted;
 use embree_trace::explore::diagram::{Diagram, Layout, Shown, Sunburst};
-use embree_trace::explore::heat::{per_pixel, per_triangle};
+use embree_trace::explore::heat::{PixelWork, per_pixel, per_triangle};
 use embree_trace::explore::rays::Kept;
 use embree_trace::explore::shares::{Measure, Shares};
 use embree_trace::explore::versus::{Contrast, Side, Versus};
@@ -12,13 +12,14 @@ use embree_trace::explore::walk::Walk;
 use embree_trace::format::rays::NO_PATH;
 use embree_trace::progress::Progress;
 use embree_trace::replay::pixels::ImageSize;
-use embree_trace::traverse::{Counts, Path, Prepared, Scratch, Step, Traversal};
+use embree_trace::traverse::{Counts, Link, Observer, Prepared, PreparedTriangle, Scratch, Traversal};
+use embree_trace::tree::Tree;
 
-fn shares(scene: &Scene, walk: &Walk, prepared: &Prepared) -> Shares {
+fn shares(scene: &Scene, tree: &Tree, walk: &Walk, prepared: &Prepared) -> Shares {
     let rays = scene.rays();
     let source = source(&rays, "", u64::MAX);
-    let counted = Counted::of(walk, &asked(prepared, Traversal::Odf), &source, &Progress::hidden());
-    Shares::of(walk, counted.expect("whole"), COSTS)
+    let counted = Counted::of(walk, &asked(tree, prepared, Traversal::Odf), &source, &Progress::hidden());
+    Shares::of(walk, counted.expect("whole"), price(tree), COSTS)
 }
 
 /// All queries, as they are asked again.
@@ -30,34 +31,54 @@ fn queries(scene: &Scene) -> Vec<Kept> {
     kept
 }
 
+/// Lays what one query spends out over the triangles, step by step.
+struct Laid<'a> {
+    walk: &'a Walk<'a>,
+    occlusion: bool,
+    leaf: u32,
+    expected: &'a mut [f64],
+}
+
+impl Laid<'_> {
+    fn spend(&mut self, node: u32, counts: Counts) {
+        let below = self.walk.triangles(node);
+        let part = nanoseconds(self.occlusion, &counts) / below.len() as f64;
+        below.iter().for_each(|&triangle| self.expected[triangle as usize] += part);
+    }
+}
+
+impl Observer for Laid<'_> {
+    fn inner(&mut self, node: &Link) {
+        self.spend(node.node, Counts { node_visits: 1, ..Counts::default() });
+    }
+
+    fn leaf(&mut self, leaf: &Link) {
+        self.leaf = leaf.node;
+        self.spend(leaf.node, Counts { leaf_visits: 1, ..Counts::default() });
+    }
+
+    fn primitives(&mut self, _triangles: impl ExactSizeIterator<Item = PreparedTriangle>) {
+        self.spend(self.leaf, Counts { block_tests: 1, ..Counts::default() });
+    }
+}
+
 #[test]
 fn costs_of_triangles_are_those_of_each_query_laid_out_one_by_one() {
     let scene = Scene::new(300, 60);
     for tree in scene.trees() {
         let (walk, prepared) = (Walk::new(tree.view(), scene.triangles.len()), scene.prepared(&tree));
-        let shares = shares(&scene, &walk, &prepared);
+        let shares = shares(&scene, &tree, &walk, &prepared);
         let costs = per_triangle(&walk, &shares);
         let mut expected = vec![0.0; scene.triangles.len()];
         for query in queries(&scene) {
-            let mut path = Path::default();
-            asked(&prepared, Traversal::Odf).ask(&query.query(), &mut path, &mut Scratch::default());
-            expected.iter_mut().for_each(|cost| *cost += COSTS.c_i / 240.0);
-            for step in path.steps {
-                match step {
-                    Step::Inner(node) => {
-                        let below = walk.triangles(node);
-                        let part = COSTS.c_i * walk.children(node).len() as f64 / below.len() as f64;
-                        below.iter().for_each(|&triangle| expected[triangle as usize] += part);
-                    }
-                    Step::Triangle(triangle) => expected[triangle as usize] += COSTS.c_p,
-                    Step::Leaf(_) => {}
-                }
-            }
+            let occlusion = query.record.is_occlusion();
+            let mut laid = Laid { walk: &walk, occlusion, leaf: 0, expected: &mut expected };
+            asked(&tree, &prepared, Traversal::Odf).ask(&query.query(), &mut laid, &mut Scratch::default());
         }
         for (cost, expected) in costs.iter().zip(&expected) {
             assert!((cost - expected).abs() < 1e-6 * expected, "{cost} {expected}");
         }
-        let total = COSTS.gamma(&shares.total());
+        let total = 300.0 * shares.mean_cost();
         assert!((costs.iter().sum::<f64>() - total).abs() < 1e-6 * total);
     }
 }
@@ -65,17 +86,17 @@ fn costs_of_triangles_are_those_of_each_query_laid_out_one_by_one() {
 #[test]
 fn a_triangle_in_several_leaves_bears_its_part_in_each() {
     // As spatial splits make it: triangle 0 in both leaves.
-    use embree_trace::tree::{Node, Tree};
+    use embree_trace::tree::Node;
     let scene = Scene::new(200, 50);
     let bounds = scene.trees()[0].nodes[0].bounds();
     let nodes = vec![Node::inner(bounds, 1, 2), Node::leaf(bounds, 0, 3), Node::leaf(bounds, 3, 1)];
     let tree = Tree { nodes, primitives: vec![0, 1, 2, 0] };
     let (walk, prepared) = (Walk::new(tree.view(), scene.triangles.len()), scene.prepared(&tree));
-    let shares = shares(&scene, &walk, &prepared);
+    let shares = shares(&scene, &tree, &walk, &prepared);
     let costs = per_triangle(&walk, &shares);
-    let total = COSTS.gamma(&shares.total());
+    let total = 200.0 * shares.mean_cost();
     assert!(total > 0.0 && (costs.iter().sum::<f64>() - total).abs() < 1e-6 * total);
-    assert!(costs[0] > 1.9 * costs[1] && costs[3] == 0.0);
+    assert!(costs[0] > 1.2 * costs[1] && costs[1] == costs[2] && costs[3] == 0.0);
     let versus = Versus::new(&walk, [&costs, &costs]);
     let Contrast { shares: [both, _], .. } = versus.contrast(&walk, 0);
     assert!((both - 1.0).abs() < 1e-9);
@@ -86,22 +107,22 @@ fn pixels_have_the_costs_of_their_queries() {
     let scene = Scene::new(700, 60);
     let tree = &scene.trees()[3];
     let (prepared, rays) = (scene.prepared(tree), scene.rays());
-    let asked = asked(&prepared, Traversal::RayOrder);
+    let asked = asked(tree, &prepared, Traversal::RayOrder);
     let size = ImageSize::new(IMAGE[0], IMAGE[1]).expect("small");
-    let (pixels, sampled) =
-        per_pixel(&asked, &source(&rays, "kind=closest", u64::MAX), size, &Progress::hidden())
-            .expect("whole");
-    let mut expected = vec![0.0; 16 * 12];
-    for query in queries(&scene).iter().filter(|query| !query.record.is_occlusion()) {
+    let found = per_pixel(&asked, &source(&rays, "", u64::MAX), size, &COSTS, &Progress::hidden());
+    let PixelWork { costs, gammas, sampled, .. } = found.expect("whole");
+    let (mut expected, mut tests) = (vec![0.0; 16 * 12], vec![0.0; 16 * 12]);
+    for query in queries(&scene) {
         let mut counts = Counts::default();
         asked.ask(&query.query(), &mut counts, &mut Scratch::default());
         assert_ne!(query.record.path, NO_PATH);
-        expected[query.record.path as usize] += COSTS.gamma(&counts);
+        expected[query.record.path as usize] += nanoseconds(query.record.is_occlusion(), &counts);
+        tests[query.record.path as usize] += COSTS.gamma(&counts);
     }
-    assert!(
-        pixels.costs(&COSTS).iter().zip(&expected).all(|(cost, expected)| (cost - expected).abs() < 1e-6)
-    );
-    assert!(sampled.taken > 300 && sampled.looked_at == 700);
+    // Each query is rounded to 1/1024 ns.
+    assert!(costs.iter().zip(&expected).all(|(cost, expected)| (cost - expected).abs() < 0.05));
+    assert!(gammas.iter().zip(&tests).all(|(gamma, expected)| (gamma - expected).abs() < 1e-6));
+    assert_eq!((sampled.taken, sampled.looked_at), (700, 700));
 }
 
 #[test]
@@ -145,9 +166,9 @@ fn listed_nodes_do_not_overlap_and_differ_enough() {
     let scene = Scene::new(800, 60);
     let trees = scene.trees();
     let [first, second] = [&trees[0], &trees[1]];
-    let cost = |tree: &embree_trace::tree::Tree| {
+    let cost = |tree: &Tree| {
         let walk = Walk::new(tree.view(), scene.triangles.len());
-        per_triangle(&walk, &shares(&scene, &walk, &scene.prepared(tree)))
+        per_triangle(&walk, &shares(&scene, tree, &walk, &scene.prepared(tree)))
     };
     let costs = [cost(first), cost(second)];
     let walk = Walk::new(first.view(), scene.triangles.len());
@@ -176,7 +197,7 @@ fn diagrams_are_trees_of_blocks() {
     let scene = Scene::new(300, 60);
     for tree in scene.trees() {
         let (walk, prepared) = (Walk::new(tree.view(), scene.triangles.len()), scene.prepared(&tree));
-        let shares = shares(&scene, &walk, &prepared);
+        let shares = shares(&scene, &tree, &walk, &prepared);
         let roots = [0, walk.children(0).start, walk.children(walk.children(0).start).end - 1];
         for (measure, root, least) in Measure::ALL
             .into_iter()

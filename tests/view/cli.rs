@@ -32,9 +32,44 @@ fn a_screenshot_says_what_was_opened() {
     let said: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     assert_eq!(said["trees"][0]["triangles"], room.triangles.len());
     assert_eq!(said["recording"]["queries"], said["recording"]["counted"]);
-    assert!(said["trees"][0]["cost_per_query"].as_f64().is_some_and(|cost| cost > 2.0));
+    let tree = &said["trees"][0];
+    assert!(tree["cost"].as_f64().is_some_and(|cost| cost > 6.1) && tree["cost_ratio"] == 1.0);
+    assert!(tree["gamma"].as_f64().is_some_and(|gamma| gamma > 2.0) && tree["gamma_ratio"] == 1.0);
     let picture = image::open(room.path("out.png")).expect("a picture");
     assert_eq!((picture.width(), picture.height()), (320, 200));
+}
+
+/// The number that is shown first is the one that `bvh-compare` reports, and trees of different
+/// widths do not compare by their tests.
+#[test]
+fn costs_are_those_of_a_comparison() {
+    let room = Room::new();
+    let trees = ["sweep.bvh", "wide.bvh"];
+    let output = run(
+        &room,
+        &[&trees[..], &["casts.rays", "--screenshot", "out.png", "--size", "320x200", "--format", "json"]]
+            .concat(),
+    );
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let shown: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let output = Command::new(env!("CARGO_BIN_EXE_bvh-compare"))
+        .args(trees)
+        .args(["casts.rays", "--format", "json", "--traversal", "odf"])
+        .current_dir(room.directory.path())
+        .output()
+        .expect("running bvh-compare");
+    let compared: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    for (tree, shown) in shown["trees"].as_array().expect("trees").iter().enumerate() {
+        let compared = &compared["trees"][tree]["traversals"]["odf"];
+        for key in ["cost", "cost_ratio"] {
+            let [shown, compared] = [&shown[key], &compared[key]].map(|value| value.as_f64().expect(key));
+            assert!(
+                shown > 0.0 && (shown - compared).abs() < 1e-9 * shown,
+                "{tree} {key}: {shown} {compared}"
+            );
+        }
+    }
+    assert_eq!(shown["trees"][1]["gamma_ratio"], Value::Null);
 }
 
 #[test]

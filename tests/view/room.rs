@@ -10,6 +10,7 @@ use embree_trace::geometry::{Ray, Triangle, Vec3};
 use embree_trace::mesh::generate::cornell_box;
 use embree_trace::progress::Progress;
 use embree_trace::render::camera::{Camera, View};
+use embree_trace::tree::collapse::{self, collapse};
 use embree_trace::view::offscreen::Offscreen;
 use embree_trace::view::wishes::Wishes;
 use std::path::{Path, PathBuf};
@@ -45,8 +46,9 @@ impl Room {
     pub fn new() -> Room {
         let triangles = cornell_box().triangles();
         let room = Room { directory: tempfile::tempdir().expect("a directory"), triangles };
-        room.tree("sweep.bvh", Splits::Sweep);
-        room.tree("binned.bvh", Splits::Binned { bins: Bins::Fixed(4) });
+        room.tree("sweep.bvh", Splits::Sweep, 2);
+        room.tree("binned.bvh", Splits::Binned { bins: Bins::Fixed(4) }, 2);
+        room.tree("wide.bvh", Splits::Sweep, 8);
         room.write("casts.rays", &room.recording(0));
         room.write("hot.rays", &room.recording(50));
         room
@@ -64,8 +66,13 @@ impl Room {
         std::fs::write(self.path(name), bytes).expect("writing a test file");
     }
 
-    fn tree(&self, name: &str, splits: Splits) {
+    fn tree(&self, name: &str, splits: Splits, width: usize) {
         let tree = build(&self.triangles, &Config::of(splits), &Progress::hidden()).expect("a tree");
+        let area = |node: usize| f64::from(tree.nodes[node].bounds().area());
+        let tree = match width {
+            2 => tree.clone(),
+            _ => collapse(tree.view(), area, &collapse::Config::vector(width)).expect("a wide tree"),
+        };
         let geometry = Geometry {
             instance: NO_INSTANCE,
             geometry: 0,

@@ -9,7 +9,7 @@ use crate::view::layers::{Boxes, SurfaceColor};
 use crate::view::paint::{self, color32};
 use crate::view::panels::{count, facts, percent};
 use crate::view::shared::{Shared, Spot, child_name};
-use crate::view::versus::Compared;
+use crate::view::versus::{self, Compared};
 use eframe::egui::{self, Key, RichText, Ui};
 
 /// Nodes in the list of the most expensive ones.
@@ -107,6 +107,7 @@ impl Mode for Explore {
     }
 
     fn panel(&mut self, ui: &mut Ui, shared: &mut Shared) {
+        versus::means(ui, shared);
         breadcrumb(ui, shared);
         ui.separator();
         let node = shared.node();
@@ -115,7 +116,7 @@ impl Mode for Explore {
         let walk = &tree.walk;
         match &shares {
             Some(shares) => {
-                describe(ui, node, &shares.node(walk, node));
+                describe(ui, node, &shares.node(walk, node), shares.counted.queries);
                 super::super::panels::sampled(ui, &shares.counted.sampled);
             }
             None => describe_geometry(ui, shared, node),
@@ -123,15 +124,14 @@ impl Mode for Explore {
         children(ui, shared, node);
         if let Some(shares) = &shares {
             ui.add_space(6.0);
-            self.diagram.ui(ui, shared, shares);
             self.versus.ui(ui, shared);
+            self.diagram.ui(ui, shared, shares);
             ui.add_space(6.0);
-            ui.label(RichText::new("Where most is spent").strong())
-                .on_hover_text("Nodes by what is spent at each itself: on tests of its children's boxes, or of its triangles");
-            let costs = shares.costs;
-            let total = costs.gamma(&shares.total()).max(f64::MIN_POSITIVE);
+            ui.label(RichText::new("Where most is spent").strong()).on_hover_text(
+                "Nodes by what is spent at each itself: on visiting its children, or on its triangles",
+            );
             let mut nodes = shares.nodes_above(walk, crate::explore::shares::Measure::Cost, 0.002);
-            let own = |node: u32| costs.gamma(&shares.own(walk, node)) / total;
+            let own = |node: u32| shares.own_share(walk, node);
             nodes.sort_by(|&a, &b| own(b).total_cmp(&own(a)));
             for &other in nodes.iter().take(LISTED) {
                 let kind = if tree.bvh.tree.nodes[other as usize].is_leaf() { "leaf" } else { "node" };
@@ -179,15 +179,33 @@ fn breadcrumb(ui: &mut Ui, shared: &mut Shared) {
     });
 }
 
-fn describe(ui: &mut Ui, number: u32, node: &NodeShare) {
+fn describe(ui: &mut Ui, number: u32, node: &NodeShare, queries: u64) {
+    let below = &node.below;
+    let level = match node.is_leaf {
+        true => node.level.to_string(),
+        false => format!("{}, {}", node.level, node.children),
+    };
+    let mean = |&count: &u64| format!("{:.2}", count as f64 / queries.max(1) as f64);
+    let per_query = |counts: &[u64]| counts.iter().map(mean).collect::<Vec<String>>().join("  ");
     let kind = if node.is_leaf { "Leaf" } else { "Node" };
     ui.heading(format!("{kind} {number}"));
     facts(
         ui,
         "node",
         &[
-            ("level", node.level.to_string(), "Of the root: 0"),
-            ("children", if node.is_leaf { "–".to_owned() } else { node.children.to_string() }, ""),
+            (
+                "cost below",
+                format!("{} ns ({})", short(node.cost), percent(node.share)),
+                "What a query is expected to spend in the node and below, on average over all queries: ns of visits, leaves and blocks \
+                 of triangles; and its part of the whole",
+            ),
+            ("spent here", percent(node.own_share), "Part of all cost in the node itself"),
+            (
+                "expected by area",
+                percent(node.area_share),
+                "Part of all cost that is below when each box is hit as its surface area predicts, as SAH takes it",
+            ),
+            ("level, children", level, "The root's level is 0"),
             (
                 "triangles below",
                 count(node.triangles as u64),
@@ -209,18 +227,15 @@ fn describe(ui: &mut Ui, number: u32, node: &NodeShare) {
                 "Queries that tested the boxes of its children, or its triangles",
             ),
             (
-                "spent below",
-                percent(node.share),
-                "Share of all cost: box tests and primitive tests, in the node and below",
+                "visits, leaves, blocks",
+                per_query(&[below.node_visits, below.leaf_visits, below.block_tests]),
+                "Below, for a query on average: inner nodes visited, leaves opened, blocks of up to four triangles tested",
             ),
-            ("spent here", percent(node.own_share), "Share of all cost in the node itself"),
             (
-                "SAH expects below",
-                percent(node.area_share),
-                "Share of the SAH cost: what the surface area predicts",
+                "box, triangle tests",
+                per_query(&[below.box_tests, below.primitive_tests]),
+                "Likewise boxes and triangles, each: the paper's terms",
             ),
-            ("box tests below", count(node.below.box_tests), ""),
-            ("primitive tests below", count(node.below.primitive_tests), ""),
         ],
     );
     let ratio = node.share / node.area_share;

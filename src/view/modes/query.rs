@@ -3,12 +3,12 @@
 mod drawing;
 
 use super::{Input, Mode};
-use crate::explore::queries::Asked;
+use crate::compare::relative;
 use crate::explore::rays::{Kept, PixelIndex, fetch, origins};
 use crate::explore::steps::{Event, Steps, question};
 use crate::format::rays::{NO_PATH, Purpose};
 use crate::render::camera::Camera;
-use crate::traverse::Traversal;
+use crate::traverse::{Counts, Traversal};
 use crate::view::load::OpenTree;
 use crate::view::overlay::Overlay;
 use crate::view::paint::{self, SELECTED, color32};
@@ -123,9 +123,9 @@ impl QueryMode {
         }
         let Some(kept) = self.path.get(self.chosen) else { return };
         if self.followed.is_empty() {
-            let follow = |tree: &Arc<OpenTree>| {
-                let asked = Asked { prepared: &tree.prepared, traversal, order: &tree.order };
-                Followed { steps: Steps::of(&asked, tree.bvh.tree, &kept.query()), traversal }
+            let follow = |tree: &Arc<OpenTree>| Followed {
+                steps: Steps::of(&tree.asked(traversal), tree.bvh.tree, &kept.query()),
+                traversal,
             };
             self.followed = shared.opened.trees.iter().map(follow).collect();
         }
@@ -214,16 +214,29 @@ impl QueryMode {
         let last = steps.steps.len().saturating_sub(1);
         let here = self.step.min(last);
         let Some(step) = steps.steps.get(here) else { return };
+        let whole = |number: usize| Some(self.followed.get(number)?.steps.steps.last()?.cost);
         if shared.opened.trees.len() > 1 {
-            ui.strong(shared.opened.trees[number].name());
+            let ratio = if number == 0 { None } else { whole(0).zip(whole(number)) };
+            let ratio = ratio.map_or(String::new(), |(first, own)| format!(", ×{:.2}", relative(own, first)));
+            let name = shared.opened.trees[number].name();
+            let cost = whole(number).unwrap_or_default();
+            ui.strong(format!("{name}: {cost:.1} ns{ratio}")).on_hover_text(
+                "What the query costs in this tree, and relative to the first: ns of visits, leaves and blocks of triangles",
+            );
         }
         facts(
             ui,
             &format!("steps {number}"),
             &[
+                (
+                    "cost so far",
+                    format!("{:.1} of {:.1} ns", step.cost, whole(number).unwrap_or_default()),
+                    "What visits, leaves and blocks of triangles are expected to take",
+                ),
                 ("step", format!("{} of {}", here + 1, last + 1), ""),
-                ("box tests so far", count(step.box_tests), ""),
-                ("primitive tests so far", count(step.primitive_tests), ""),
+                ("visits, leaves, blocks", parts(&step.counts), "So far"),
+                ("box tests so far", count(step.counts.box_tests), ""),
+                ("primitive tests so far", count(step.counts.primitive_tests), ""),
                 ("interval ends at", distance(step.end), "The best hit so far, else the end of the ray"),
             ],
         );
@@ -255,6 +268,12 @@ fn distance_to([x, y]: [f32; 2], [ax, ay]: [f32; 2], [bx, by]: [f32; 2]) -> f32 
     let length = (dx * dx + dy * dy).max(f32::MIN_POSITIVE);
     let along = (((x - ax) * dx + (y - ay) * dy) / length).clamp(0.0, 1.0);
     (x - ax - along * dx).hypot(y - ay - along * dy)
+}
+
+/// What cost is made of.
+fn parts(counts: &Counts) -> String {
+    let Counts { node_visits, leaf_visits, block_tests, .. } = *counts;
+    format!("{}, {}, {}", count(node_visits), count(leaf_visits), count(block_tests))
 }
 
 /// A distance along a ray; one that stands for no end is called so.
