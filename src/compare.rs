@@ -15,7 +15,7 @@ mod verdict;
 
 use crate::format::FormatError;
 use crate::format::bvh::{Bvh, flag};
-use crate::format::rays::{NO_DEPTH, Rays};
+use crate::format::rays::{ChunkEntry, NO_DEPTH, Rays};
 use crate::progress::Progress;
 use crate::ranks::{RankFailed, Ranks, Share, merge_all};
 use crate::replay::check::Judge;
@@ -31,6 +31,7 @@ use crate::tree::epo::end_point_overlap;
 use crate::tree::statistics::{Statistics, sah_cost};
 use baseline::Baseline;
 use kernels::{AnswersOnTrees, EmbreeScenes, Kernels, Wanted};
+use std::time::{Duration, Instant};
 use thiserror::Error;
 use timing::Timing;
 pub use verdict::Allowed;
@@ -77,8 +78,12 @@ pub struct Settings {
     pub profile: bool,
     /// Embree's own kernels are asked on each tree, too: which. By one rank alone only.
     pub kernels: Option<Wanted>,
+    /// Whether they are also asked for their answers, which are checked; without this, they are only timed.
+    pub answers: bool,
     /// Rounds of timing, after all that; `None` when times are not wanted.
     pub rounds: Option<u32>,
+    /// Time that all of measuring may take: fewer queries are timed, or none, where all would take longer. `None`: however long it takes.
+    pub budget: Option<Duration>,
     /// Whether to fit costs to the times.
     pub fit: bool,
 }
@@ -88,6 +93,9 @@ pub struct Settings {
 pub struct TreeFacts {
     pub path: String,
     pub producer: String,
+    /// Whether it is the one that a program's Embree traversed, and instances in it were flattened.
+    pub is_live: bool,
+    pub is_flattened: bool,
     /// `META`: how it was built.
     pub meta: Option<String>,
     pub fingerprint: u64,
@@ -149,6 +157,8 @@ pub struct RecordingResult {
     pub fingerprint: u64,
     /// 31305 for 3.13.5; 0 when not recorded from Embree.
     pub embree_version: u32,
+    /// Whether the program's filters refused hits.
+    pub has_filters: bool,
     /// Number of the scene that was replayed.
     pub scene: u16,
     /// In the file, before any filter.
@@ -169,6 +179,8 @@ pub struct Comparison {
     pub trees: Vec<TreeFacts>,
     /// Embree's kernels where they were asked for, or why Embree has no such scene.
     pub kernels: Option<Result<Kernels, String>>,
+    /// Why times, or those of Embree's kernels, were not measured, where it was left open whether to.
+    pub left_out: Option<String>,
     pub recordings: Vec<RecordingResult>,
 }
 
@@ -198,6 +210,8 @@ pub enum CompareError {
     NoQueries { path: String, why: &'static str },
     #[error("Embree: {0}")]
     Embree(String),
+    #[error("there is no thread to measure times on: {0}")]
+    Thread(std::io::Error),
     #[error("{0}")]
     Rank(#[from] RankFailed),
 }
@@ -290,21 +304,53 @@ pub fn compare(
             result.trees.push(TreeResult { runs, overlap_run });
         }
     }
-    let mut scenes = settings.kernels.map(|wanted| EmbreeScenes::of(trees, wanted));
-    if let Some(Ok(scenes)) = &mut scenes {
+    let started = Instant::now();
+    let (mut scenes, mut left_out) = scenes(trees, &settings);
+    if let Some(Ok(scenes)) = scenes.as_mut().filter(|_| settings.answers) {
         for (recording, result) in recordings.iter().zip(&mut results) {
             result.kernels = Some(scenes.answers(trees, recording, &settings.choice, progress)?);
         }
     }
     if let Some(rounds) = settings.rounds {
         let scenes = scenes.as_mut().and_then(|scenes| scenes.as_mut().ok());
-        let timings = timing::time(trees, recordings, &settings, rounds, scenes)?;
+        let budget = settings.budget.map(|budget| budget.saturating_sub(started.elapsed()));
+        let replayed = (recordings, &results[..]);
+        let timings = timing::time(trees, replayed, &settings, (rounds, budget), scenes)?;
         for (result, timing) in results.iter_mut().zip(timings) {
-            result.timing = Some(timing);
+            match timing {
+                Ok(timing) => result.timing = Some(timing),
+                Err(why) => left_out = Some(why),
+            }
         }
     }
     let kernels = scenes.map(|scenes| scenes.map(|scenes| scenes.kernels().clone()));
-    Ok(Comparison { settings, trees: facts, kernels, recordings: results })
+    Ok(Comparison { settings, trees: facts, kernels, left_out, recordings: results })
+}
+
+/// Seconds for each triangle of a scene, once and for each tree that is planted, that are allowed for before Embree's kernels can be timed.
+const SECONDS_A_TRIANGLE: f64 = 1e-6;
+
+/// Embree's scenes where they are wanted, or why there are none; where it was left open whether to ask Embree, that is no more than a line.
+fn scenes(
+    trees: &[Candidate],
+    settings: &Settings,
+) -> (Option<Result<EmbreeScenes, String>>, Option<String>) {
+    let Some(wanted) = settings.kernels else { return (None, None) };
+    let Some(budget) = settings.budget.filter(|_| !settings.answers) else {
+        return (Some(EmbreeScenes::of(trees, wanted)), None);
+    };
+    // Its own two trees, of which one takes a multiple of the other.
+    let times = 3 + trees.len();
+    let expected = (trees[0].bvh.triangles.len() * times) as f64 * SECONDS_A_TRIANGLE;
+    let found = if expected > budget.as_secs_f64() / 2.0 {
+        Err(format!("its trees and planting would take {expected:.0} s or more"))
+    } else {
+        EmbreeScenes::of(trees, wanted)
+    };
+    match found {
+        Ok(scenes) => (Some(Ok(scenes)), None),
+        Err(why) => (None, Some(format!("No times of Embree's kernels, which --time measures: {why}."))),
+    }
 }
 
 /// Replays one recording, of which at least one query has to be left.
@@ -342,6 +388,8 @@ impl TreeFacts {
         TreeFacts {
             path: path.to_owned(),
             producer: bvh.header.producer.clone(),
+            is_live: bvh.header.flags & flag::LIVE != 0,
+            is_flattened: bvh.header.flags & flag::FLATTENED != 0,
             meta: bvh.meta.map(str::to_owned),
             fingerprint: bvh.header.fingerprint,
             triangles: bvh.triangles.len(),
@@ -362,6 +410,10 @@ impl RecordingResult {
             producer: header.producer.clone(),
             fingerprint: header.fingerprint,
             embree_version: header.embree_version,
+            has_filters: {
+                let own = |chunk: &&ChunkEntry| chunk.info.scene == recording.scene;
+                recording.rays.chunks().iter().filter(own).any(|chunk| chunk.rejects > 0)
+            },
             scene: recording.scene,
             queries: recording.rays.query_count(),
             image: recording.image,

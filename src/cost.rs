@@ -10,7 +10,7 @@
 //! (.92). Embree's kernels follow narrower trees in the same nodes, so that a visit costs the same there. A miss of the second level, 1 MB, costs
 //! as much as a visit: on another machine (a busy EPYC, 19 planted trees of sponza and 9 of conference) that ranks trees of one scene best. Kendall's τ
 //! with the time of trees that differ in it by more than 2% is .66 and .79 without misses, .90 and 1.00 with, and falls to .53 and .79
-//! with 20 ns a miss. What was measured elsewhere is read from a file ([`Costs::parse`]).
+//! with 20 ns a miss. `tools/fit-costs` repeats the fit on another machine. What was measured elsewhere is read from a file ([`Costs::parse`]).
 
 pub mod cache;
 pub mod counter;

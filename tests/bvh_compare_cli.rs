@@ -385,6 +385,72 @@ fn times_fits_and_rankings_are_reported() {
     files.refused(&["two.bvh", "casts.rays", "--time", "--rounds", "0"], &["--rounds"]);
 }
 
+/// Where nobody says whether to, times are measured that are measured soon, and fail nothing.
+#[test]
+fn times_are_there_without_being_asked_for() {
+    let files = Files::new();
+    let run = |words: &[&str]| {
+        let output = files.run_as_given(&[&["two.bvh", "four.bvh"], words].concat());
+        (output.status.code(), text(&output.stdout), text(&output.stderr))
+    };
+    let json = |words: &[&str]| -> Value {
+        let (code, out, said) = run(&[words, &["--format", "json"]].concat());
+        assert_eq!((code, said.as_str()), (Some(0), ""), "{words:?}");
+        serde_json::from_str(&out).expect("JSON")
+    };
+    let timed = json(&["casts.rays"]);
+    assert_eq!(number(&timed["timing"]["queries"]), 3000);
+    for tree in timed["trees"].as_array().expect("trees") {
+        assert!(tree["traversals"]["odf"]["time"]["seconds"].as_f64() > Some(0.0));
+        let embree = &tree["time"]["embree"];
+        assert!(
+            embree["answers"].is_null() && embree["ns"].is_number() == cfg!(feature = "embree"),
+            "{embree}"
+        );
+    }
+    assert!(timed["embree"].get("answers").is_none());
+    // Without Embree a line says so, else there is nothing to say.
+    assert_eq!(timed.get("left_out").is_none(), cfg!(feature = "embree"));
+    let plain = json(&["casts.rays", "--no-time"]);
+    for key in ["timing", "embree", "left_out"] {
+        assert!(plain.get(key).is_none(), "{key}");
+    }
+    files.write("then.json", plain.to_string().as_bytes());
+    json(&["casts.rays", "--baseline", "then.json", "--fail-above", "1.0"]);
+
+    // Embree's kernels, which find the same wrong answer, are not asked for it.
+    let (mut records, rejects) = records(&files.triangles, 3000, 5);
+    let wrong = records.iter().position(|record| !record.is_occlusion() && record.is_hit()).expect("a hit");
+    records[wrong].t *= 1.01;
+    files.write("wrong.rays", &rays_bytes(fingerprint(&files.triangles), &records, &rejects, 700));
+    let (code, _, said) = run(&["wrong.rays", "--traversal", "odf"]);
+    assert_eq!((code, said.lines().count()), (Some(1), 2), "{said}");
+    assert!(!said.contains("Embree"), "{said}");
+
+    let (_, table, _) = run(&["casts.rays"]);
+    assert!(
+        table.contains("Time per query") && table.lines().all(|line| line.chars().count() <= 100),
+        "{table}"
+    );
+    assert_eq!(table.contains("Embree's own: Embree "), cfg!(feature = "embree"), "{table}");
+    let (_, csv, _) = run(&["casts.rays", "--traversal", "odf", "--format", "csv"]);
+    // Without what is quoted, and may hold commas.
+    let fields = |line: &str| line.split('"').step_by(2).collect::<String>().split(',').count();
+    let columns = csv.lines().next().map_or(0, fields);
+    assert!(csv.lines().all(|line| fields(line) == columns), "{csv}");
+    assert!(csv.lines().next().is_some_and(|header| header.ends_with(",rays,ns,ns_least,ns_greatest")));
+    let rows = |part: &str| csv.lines().filter(|line| line.contains(part)).count();
+    // All, 2 kinds, 3 depths, 3 purposes; Embree's have no depths, and its own trees are two.
+    assert_eq!(rows(",odf,"), 2 * 9);
+    if cfg!(feature = "embree") {
+        assert_eq!(
+            (rows(",embree,"), rows("without filters; not what was recorded: the program has filters")),
+            (4 * 6, 2 * 6)
+        );
+    }
+    files.refused(&["two.bvh", "casts.rays", "--time", "--no-time"], &["--no-time"]);
+}
+
 #[test]
 fn five_trees_are_ranked() {
     let files = Files::new();

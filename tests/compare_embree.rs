@@ -7,6 +7,7 @@ mod compare_support;
 
 use compare_support::*;
 use embree_trace::builder::{self, Config};
+use embree_trace::compare::kernels::Wanted;
 use embree_trace::compare::{Candidate, Recording, Settings, check_scenes, compare};
 use embree_trace::files::MappedFile;
 use embree_trace::format::bvh::{self, Bvh, Contents};
@@ -21,6 +22,7 @@ use embree_trace::traverse::Traversal;
 use embree_trace::tree::TreeView;
 use std::path::Path;
 use std::process::Command;
+use std::time::Duration;
 
 /// Records `mesh` with `options`, and replays it over Embree's tree, ours, and random ones of other widths.
 fn confirm(name: &str, mesh: &Mesh, options: &[&str], borderline: u64) {
@@ -86,14 +88,20 @@ fn confirm(name: &str, mesh: &Mesh, options: &[&str], borderline: u64) {
         sort: None,
         packet: None,
         profile: false,
-        kernels: None,
-        rounds: None,
+        kernels: Some(Wanted::default()),
+        answers: false,
+        rounds: Some(1),
+        // Too short for anything.
+        budget: Some(Duration::ZERO),
         fit: false,
     };
     let recording = Recording { path: name.to_owned(), rays: &rays, scene: 0, image: None };
     let comparison =
         compare(&candidates, &[recording], settings, &Alone, &Progress::hidden()).expect("whole files");
     assert_eq!(comparison.failures(), Vec::<String>::new());
+    let why = comparison.left_out.as_deref().expect("a line");
+    assert!(why.starts_with("No times: ") && why.contains("--time") && !why.contains('\n'), "{why}");
+    assert!(comparison.kernels.is_none() && comparison.recordings[0].timing.is_none());
     for (_, tree, result) in comparison.results() {
         for run in &result.runs {
             let total = &run.outcome.tallies.total;

@@ -265,7 +265,7 @@ fn the_commands_choose_store_and_follow_an_order() {
     };
     let (build, compare) = (env!("CARGO_BIN_EXE_bvh-build"), env!("CARGO_BIN_EXE_bvh-compare"));
     let built = json(build, "in.bvh out.bvh --heuristic sah --rays casts.rays --order --format json", 0);
-    let only = "out.bvh casts.rays --filter kind=occlusion --traversal odf --format json";
+    let only = "out.bvh casts.rays --filter kind=occlusion --traversal odf --no-time --format json";
     for order in ["", "recorded", "nearest", "farthest", "area", "first", "last", "random"] {
         let option = if order.is_empty() { String::new() } else { format!(" --occlusion-order {order}") };
         let report = json(compare, &format!("{only}{option}"), 0);

@@ -200,6 +200,7 @@ class Bench:
             "--traversal",
             "odf",
             *kernels,
+            "--no-time",
             "--format",
             "json",
             good=(0, 1),

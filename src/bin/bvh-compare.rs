@@ -29,6 +29,7 @@ use embree_trace::traverse::{OrderName, Traversal};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 
 const PROGRAM: &str = "bvh-compare";
 
@@ -147,10 +148,14 @@ struct Arguments {
     #[arg(long)]
     details: bool,
 
-    /// Also measure time: the same queries without counting on one pinned thread, our traversals and Embree's kernels on each tree,
-    /// all in turn; asks Embree as --embree does
+    /// Measure time however long it takes: the same queries without counting on one pinned thread, our traversals and Embree's kernels on each tree,
+    /// all in turn; asks Embree as --embree does. Without this, as many of them as 10 seconds are enough for, without Embree's answers
     #[arg(long)]
     time: bool,
+
+    /// Do not measure time: then nothing in the report depends on the machine but the seconds that counting took
+    #[arg(long, conflicts_with_all = ["time", "fit", "fit_costs"])]
+    no_time: bool,
 
     /// Also ask Embree's own kernels on each tree, planted in a scene of its triangles, and check what they answer
     #[cfg(feature = "embree")]
@@ -167,7 +172,7 @@ struct Arguments {
     #[arg(long)]
     robust: bool,
 
-    /// Rounds of --time, after one that warms up
+    /// Rounds in which time is measured, after one that warms up
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     rounds: u32,
 
@@ -207,6 +212,9 @@ struct Arguments {
 const ALONE: [&str; 4] = ["time", "fit", "fit_costs", "embree"];
 #[cfg(not(feature = "embree"))]
 const ALONE: [&str; 3] = ["time", "fit", "fit_costs"];
+
+/// Time that measuring may take where nobody asked for it.
+const BUDGET: Duration = Duration::from_secs(10);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
@@ -300,17 +308,23 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
         packet: arguments.packet.map(usize::from),
         profile: arguments.details || arguments.html.is_some(),
         kernels: arguments.kernels(),
-        rounds: arguments.is_timed().then_some(arguments.rounds),
+        answers: arguments.asks_embree(),
+        rounds: (arguments.is_timed() || arguments.may_be_timed()).then_some(arguments.rounds),
+        budget: arguments.may_be_timed().then_some(BUDGET),
         fit: arguments.fits(),
     };
     let queries: u64 = rays.iter().map(Rays::query_count).sum();
-    let replays = trees.len() * settings.traversals.len() + usize::from(settings.kernels.is_some());
+    let replays = trees.len() * settings.traversals.len() + usize::from(settings.answers);
     let steps = queries * replays as u64 / ranks.count() as u64;
     let progress = if prints { Progress::new("replaying", steps) } else { Progress::hidden() };
     let comparison = compare::compare(&candidates, &recordings, settings, ranks, &progress)?;
     drop(progress);
     if let Some(Err(why)) = comparison.kernels.as_ref().filter(|_| prints) {
         eprintln!("{PROGRAM}: warning: Embree has no scene of these triangles: {why}");
+    }
+
+    if let Some(why) = comparison.left_out.as_ref().filter(|_| prints && arguments.format == Format::Csv) {
+        eprintln!("{PROGRAM}: {why}");
     }
 
     let wrong = comparison.failures();
@@ -330,6 +344,22 @@ impl Arguments {
         self.time || self.fits() || (self.fail_above.is_some() && self.fail_metric == Metric::Nanoseconds)
     }
 
+    /// Whether they are measured if that takes no longer than [`BUDGET`]. Processes that share queries are not alone on a machine.
+    fn may_be_timed(&self) -> bool {
+        !(self.is_timed() || self.no_time || self.mpi)
+    }
+
+    /// Whether the answers of Embree's kernels are wanted.
+    #[cfg(feature = "embree")]
+    fn asks_embree(&self) -> bool {
+        self.embree || self.is_timed()
+    }
+
+    #[cfg(not(feature = "embree"))]
+    fn asks_embree(&self) -> bool {
+        false
+    }
+
     fn fits(&self) -> bool {
         self.fit || self.fit_costs.is_some()
     }
@@ -338,12 +368,13 @@ impl Arguments {
     #[cfg(feature = "embree")]
     fn kernels(&self) -> Option<Wanted> {
         let wanted = Wanted { isa: self.isa.map(Isa::name), robust: self.robust };
-        (self.embree || self.is_timed()).then_some(wanted)
+        (self.asks_embree() || self.may_be_timed()).then_some(wanted)
     }
 
+    /// There are none, which is said where they would be timed.
     #[cfg(not(feature = "embree"))]
     fn kernels(&self) -> Option<Wanted> {
-        None
+        self.may_be_timed().then(Wanted::default)
     }
 }
 

@@ -15,6 +15,7 @@ mod sums;
 
 pub(super) use scenes::EmbreeScenes;
 
+use super::{RecordingResult, TreeFacts};
 use crate::replay::Mismatch;
 
 /// Relative difference of t beyond which two answers of Embree's are counted as apart.
@@ -39,7 +40,11 @@ pub struct Kernels {
     pub isa: String,
     /// What Embree traverses, such as `BVH8<triangle4>`, or `rtcBuildBVH` where memory does not tell.
     pub structure: String,
+    /// The instruction set as Embree's memory names it, which may be the least that the kernels need: as in the files of its trees.
+    pub named: String,
     pub robust: bool,
+    /// Whether the scene has the triangles of instances where the program had the instances.
+    pub is_flattened: bool,
     /// Qualities of the trees that Embree built itself. Others are planted in the scene of the first.
     pub own: Vec<&'static str>,
     /// By tree, as in the comparison: what was planted, or why it was not.
@@ -50,6 +55,55 @@ impl Kernels {
     /// What is asked, for people.
     pub fn name(&self) -> String {
         name(self.version, &self.isa, &self.structure, self.robust)
+    }
+
+    /// What they are asked in, for people: a scene of the file alone.
+    pub fn scene_name(&self) -> &'static str {
+        if self.is_flattened { "instances flattened, without filters" } else { "without filters" }
+    }
+
+    /// In what these are not the kernels and the scene of the program that was recorded, a phrase each.
+    pub fn unlike(&self, recorded: &Recorded) -> Vec<String> {
+        let mut unlike = Vec::new();
+        if let Some(number) = recorded.version.filter(|number| *number != self.version) {
+            unlike.push(format!("it was recorded from Embree {}", version(number)));
+        }
+        if let Some(isa) = recorded.isa.as_ref().filter(|isa| **isa != self.named) {
+            unlike.push(format!("the recorded kernels are those for {isa}"));
+        }
+        unlike.extend(self.is_flattened.then(|| "the program has instances".to_owned()));
+        unlike.extend(recorded.has_filters.then(|| "the program has filters".to_owned()));
+        unlike
+    }
+}
+
+/// What files say of the Embree that the recorded program asked.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Recorded {
+    pub version: Option<u32>,
+    /// As [`Kernels::named`].
+    pub isa: Option<String>,
+    pub has_filters: bool,
+}
+
+impl Recorded {
+    /// Of a recording, and of the trees that were read from a program's memory.
+    pub fn of(trees: &[TreeFacts], recording: &RecordingResult) -> Recorded {
+        let live = trees.iter().filter(|tree| tree.is_live).map(|tree| told(&tree.producer).0);
+        Recorded {
+            version: Some(recording.embree_version).filter(|number| *number > 0),
+            isa: live.into_iter().find(|isa| !isa.is_empty()),
+            has_filters: recording.has_filters,
+        }
+    }
+}
+
+/// Instruction set and structure, from such as `embree 3.13.5 avx2 BVH8<triangle4>`, whatever stands before it; empty where it does not say.
+pub(super) fn told(producer: &str) -> (String, String) {
+    let mut words = producer.split(' ').skip_while(|word| *word != "embree").skip(2).map(str::to_owned);
+    match (words.next(), words.next()) {
+        (Some(isa), Some(structure)) => (isa, structure),
+        (structure, _) => (String::new(), structure.unwrap_or_default()),
     }
 }
 
@@ -111,4 +165,45 @@ pub struct Differences {
     pub flipped: u64,
     /// Closest hits of which the one lies more than [`APART`] beyond the other.
     pub apart: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_recorded_otherwise_is_said() {
+        let kernels = Kernels {
+            version: 31305,
+            isa: "avx512".to_owned(),
+            structure: "BVH8<triangle4>".to_owned(),
+            named: "avx2".to_owned(),
+            robust: false,
+            is_flattened: false,
+            own: Vec::new(),
+            trees: Vec::new(),
+        };
+        assert_eq!(kernels.name(), "Embree 3.13.5, avx512, BVH8<triangle4>");
+        // Nothing is known, and nothing is other.
+        assert_eq!(kernels.unlike(&Recorded::default()), Vec::<String>::new());
+        let same = Recorded { version: Some(31305), isa: Some("avx2".to_owned()), has_filters: false };
+        assert_eq!(kernels.unlike(&same), Vec::<String>::new());
+        let other = Recorded { version: Some(40300), isa: Some("sse42".to_owned()), has_filters: true };
+        let unlike = Kernels { is_flattened: true, ..kernels }.unlike(&other).join("; ");
+        for part in ["4.3.0", "sse42", "instances", "filters"] {
+            assert!(unlike.contains(part), "{unlike}");
+        }
+    }
+
+    #[test]
+    fn producers_tell_kernels() {
+        let told = |producer| {
+            let (isa, structure) = told(producer);
+            format!("{isa}/{structure}")
+        };
+        assert_eq!(told("embree 3.13.5 avx2 BVH8<triangle4>"), "avx2/BVH8<triangle4>");
+        assert_eq!(told("planted in embree 3.13.5 sse42 BVH4<triangle4>"), "sse42/BVH4<triangle4>");
+        assert_eq!(told("binned + embree 3.13.5 rtcBuildBVH"), "/rtcBuildBVH");
+        assert_eq!(told("bvh-build 0.1.0"), "/");
+    }
 }

@@ -6,35 +6,26 @@
 
 pub(super) mod clock;
 mod observe;
+mod queries;
+mod rounds;
 
 pub use observe::{Follower, Observation};
 
 use super::kernels::EmbreeScenes;
-use super::{Candidate, CompareError, Recording, Settings};
-use crate::format::FormatError;
-use crate::format::rays::{MAX_CHUNK_RECORDS, Purpose, Record, Reject};
-use crate::geometry::Ray;
+use super::{Candidate, CompareError, Recording, RecordingResult, Run, Settings};
+use crate::format::rays::Purpose;
 use crate::median::median;
-use crate::optimize::slots;
-use crate::replay::query::{Choice, Query};
-use crate::replay::sort::Sort;
-use crate::replay::tally::{Cell, cell};
-use crate::replay::together::Together;
-use crate::traverse::packet::MOST;
-use crate::traverse::{OcclusionOrder, Prepared, Recorded, Scratch, Traversal};
-use observe::Followed;
-use rayon::prelude::*;
+use crate::traverse::{OcclusionOrder, Prepared, Traversal};
+use observe::observe_all;
+use queries::Queries;
+use rounds::{Contender, Rounds};
 use std::collections::BTreeMap;
-use std::hint::black_box;
-use std::ops::Range;
+use std::time::{Duration, Instant};
 
 /// Queries of a recording that are timed at most: more of them only make the same medians slower.
 pub const MOST_QUERIES: u64 = 1 << 20;
-/// Queries that are sorted into runs at a time.
-const BLOCK: usize = 8192;
-/// The same where they go in packets or in an order of their own, as many as a chunk may hold: as they are replayed.
-const LONG_BLOCK: usize = MAX_CHUNK_RECORDS;
-
+/// Of fewer, where time is short, none are timed.
+const LEAST_QUERIES: u64 = 1 << 14;
 /// A time in seconds over the rounds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Seconds {
@@ -126,140 +117,20 @@ pub struct Timing {
     pub observations: Vec<Observation>,
 }
 
-/// Timed queries, which no chunk of a file has to stay in memory for.
-#[derive(Clone)]
-struct Queries {
-    list: Vec<(Record, Ray, Range<usize>)>,
-    rejects: Vec<Reject>,
-    /// Queries of one cell that stand together.
-    runs: Vec<(Cell, Range<usize>)>,
-}
-
-impl Queries {
-    fn read(Recording { rays, scene, .. }: &Recording, settings: &Settings) -> Result<Queries, FormatError> {
-        let sample = settings.choice.sample.unwrap_or(u64::MAX).min(MOST_QUERIES);
-        let choice = Choice { scene: *scene, sample: Some(sample), ..settings.choice.clone() };
-        let long = settings.packet.is_some() || settings.sort.is_some();
-        let size = if long { LONG_BLOCK } else { BLOCK };
-        let mut queries = Queries { list: Vec::new(), rejects: Vec::new(), runs: Vec::new() };
-        choice.for_each_chunk(rays, |chosen| {
-            for query in chosen {
-                let start = queries.rejects.len();
-                queries.rejects.extend(query.candidates.rejects);
-                queries.list.push((*query.record, query.ray, start..queries.rejects.len()));
-            }
-        })?;
-        for block in queries.list.chunks_mut(size) {
-            block.sort_by_key(|(record, ..)| cell(record));
-        }
-        for start in (0..queries.list.len()).step_by(size) {
-            let block = &queries.list[start..queries.list.len().min(start + size)];
-            let mut first = start;
-            for run in block.chunk_by(|a, b| cell(&a.0) == cell(&b.0)) {
-                queries.runs.push((cell(&run[0].0), first..first + run.len()));
-                first += run.len();
-            }
-        }
-        Ok(queries)
-    }
-
-    /// The same queries, those of each run in an order of their own.
-    fn sorted(mut self, sort: Sort) -> Queries {
-        for (_, range) in &self.runs {
-            sort.apply(&mut self.list[range.clone()], |(_, ray, _)| *ray);
-        }
-        self
-    }
-
-    /// The queries of one run; they have lost their numbers, which nothing here needs.
-    fn run(&self, range: &Range<usize>) -> impl Iterator<Item = Query<'_>> + Clone {
-        self.list[range.clone()].iter().map(|(record, ray, rejects)| Query {
-            number: 0,
-            record,
-            ray: *ray,
-            candidates: Recorded { mask: record.mask, rejects: &self.rejects[rejects.clone()] },
-        })
-    }
-
-    fn count<K: Ord>(&self, key: impl Fn(&Cell) -> K) -> BTreeMap<K, u64> {
-        let mut counts = BTreeMap::new();
-        for (cell, run) in &self.runs {
-            *counts.entry(key(cell)).or_insert(0) += run.len() as u64;
-        }
-        counts
-    }
-
-    /// Sums up what a contender took: `rounds` by round, then by run.
-    fn time(&self, rounds: &[Vec<f64>]) -> Time {
-        let sum = |round: &Vec<f64>, wanted: &dyn Fn(&Cell) -> bool| -> f64 {
-            self.runs
-                .iter()
-                .zip(round)
-                .filter(|((cell, _), _)| wanted(cell))
-                .map(|(_, seconds)| seconds)
-                .sum()
-        };
-        let seconds = |wanted: &dyn Fn(&Cell) -> bool| {
-            Seconds::of(rounds.iter().map(|round| sum(round, wanted)).collect())
-        };
-        let by_kind = self.count(|cell| cell.0).into_keys();
-        let by_purpose = self.count(|cell| cell.2).into_keys();
-        Time {
-            total: seconds(&|_| true),
-            by_kind: by_kind.map(|kind| (kind, seconds(&|cell| cell.0 == kind))).collect(),
-            by_purpose: by_purpose.map(|purpose| (purpose, seconds(&|cell| cell.2 == purpose))).collect(),
-        }
-    }
-}
-
-/// One tree under one traversal, asked in one way.
-struct Contender<'a> {
-    prepared: &'a Prepared,
-    traversal: Traversal,
-    order: &'a OcclusionOrder,
-    way: Way,
-}
-
-impl Contender<'_> {
-    /// Seconds of each run.
-    fn round(&self, queries: &Queries, scratch: &mut Scratch) -> Vec<f64> {
-        let (mut together, mut answers) = (Together::default(), [None; MOST]);
-        let timed = |(_, range): &(Cell, Range<usize>)| {
-            let start = clock::thread_seconds();
-            match self.way.packet {
-                None => {
-                    for query in queries.run(range) {
-                        black_box(query.ask(self.prepared, self.traversal, self.order, &mut (), scratch));
-                    }
-                }
-                Some(size) => {
-                    for start in range.clone().step_by(size) {
-                        let range = start..range.end.min(start + size);
-                        let packet = queries.run(&range);
-                        let (traversal, order) = (self.traversal, self.order);
-                        let answers = &mut answers;
-                        black_box(together.ask(packet, self.prepared, traversal, order, &mut (), answers));
-                    }
-                }
-            }
-            clock::thread_seconds() - start
-        };
-        queries.runs.iter().map(timed).collect()
-    }
-}
-
 /// Times every tree and traversal, and Embree's kernels, over every recording, `rounds` times after one that is dropped. All prepared trees are in
-/// memory at once. Takes a thread of its own, which it pins.
+/// memory at once. Takes a thread of its own, which it pins. With a budget, as many queries are timed as are expected to fit in it, from what
+/// counting them took (`results`); where those are too few, what is returned of a recording is a line that says so.
 ///
 /// # Errors
 /// When a file is damaged.
 pub(super) fn time(
     trees: &[Candidate],
-    recordings: &[Recording],
+    (recordings, results): (&[Recording], &[RecordingResult]),
     settings: &Settings,
-    rounds: u32,
+    (rounds, budget): (u32, Option<Duration>),
     mut scenes: Option<&mut EmbreeScenes>,
-) -> Result<Vec<Timing>, CompareError> {
+) -> Result<Vec<Result<Timing, String>>, CompareError> {
+    let started = Instant::now();
     let mut prepared = Vec::with_capacity(trees.len());
     for Candidate { path, bvh } in trees {
         let order = OcclusionOrder::new(settings.occlusion_order, bvh.tree, bvh.order)
@@ -278,34 +149,25 @@ pub(super) fn time(
     let measure = || {
         let processor = clock::pin();
         let mut timings = Vec::with_capacity(recordings.len());
-        for recording in recordings {
+        for (recording, result) in recordings.iter().zip(results) {
             let Recording { path, .. } = recording;
-            let queries = Queries::read(recording, settings)
+            let mut queries = Queries::read(recording, settings)
                 .map_err(|source| CompareError::File { path: path.clone(), source })?;
-            let sorted = settings.sort.map(|sort| queries.clone().sorted(sort));
-            let mut sorting = Vec::new();
-            let mut scratch = Scratch::default();
-            let mut taken = vec![Vec::new(); contenders.len()];
-            let mut taken_by_kernels = vec![Vec::new(); own_trees + trees.len()];
-            for round in 0..=rounds {
-                for (contender, taken) in contenders.iter().zip(&mut taken) {
-                    let queries = sorted.as_ref().filter(|_| contender.way.sorted).unwrap_or(&queries);
-                    let seconds = contender.round(queries, &mut scratch);
-                    taken.extend((round > 0).then_some(seconds));
-                }
-                if let Some(sort) = settings.sort {
-                    let unsorted = queries.clone();
-                    let start = clock::thread_seconds();
-                    black_box(unsorted.sorted(sort));
-                    sorting.extend((round > 0).then_some(clock::thread_seconds() - start));
-                }
-                if let Some(scenes) = &mut scenes {
-                    for (number, taken) in taken_by_kernels.iter_mut().enumerate() {
-                        let runs = queries.runs.iter().map(|(_, range)| queries.run(range));
-                        taken.extend(scenes.round(number, runs).filter(|_| round > 0));
+            let kernels = own_trees + trees.len();
+            if let Some(budget) = budget {
+                // Of what is left, each recording that is left has its part.
+                let left = budget.saturating_sub(started.elapsed()).as_secs_f64();
+                let left = left / (recordings.len() - timings.len()) as f64;
+                match affordable(result, (ways.len(), kernels), f64::from(rounds + 1), left) {
+                    Ok(most) => queries = queries.thinned(most, settings),
+                    Err(why) => {
+                        timings.push(Err(why));
+                        continue;
                     }
                 }
             }
+            let Rounds { taken, taken_by_kernels, sorting } =
+                Rounds::measure(&queries, &contenders, settings, rounds, (scenes.as_deref_mut(), kernels));
             let mut times: Vec<Time> = taken.iter().map(|taken| queries.time(taken)).collect();
             let others = times.split_off(prepared.len() * settings.traversals.len());
             let observations = if settings.fit {
@@ -319,7 +181,7 @@ pub(super) fn time(
             // From ways of trees and traversals to trees and traversals of ways.
             let of_way = |place: usize| others.iter().skip(place).step_by(times.len()).cloned().collect();
             let by_way: Vec<Vec<Time>> = (0..times.len()).map(of_way).collect();
-            timings.push(Timing {
+            timings.push(Ok(Timing {
                 queries: queries.list.len() as u64,
                 by_kind: queries.count(|cell| cell.0),
                 by_purpose: queries.count(|cell| cell.2),
@@ -338,43 +200,44 @@ pub(super) fn time(
                     }
                 }),
                 observations,
-            });
+            }));
         }
         Ok(timings)
     };
-    std::thread::scope(|scope| match scope.spawn(measure).join() {
-        Ok(timings) => timings,
-        Err(panic) => std::panic::resume_unwind(panic),
+    std::thread::scope(|scope| match std::thread::Builder::new().spawn_scoped(scope, measure) {
+        Ok(thread) => thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)),
+        Err(error) if budget.is_some() => Ok(recordings
+            .iter()
+            .map(|_| Err(format!("No times: there is no thread for them: {error}.")))
+            .collect()),
+        Err(error) => Err(CompareError::Thread(error)),
     })
 }
 
-/// Observations of all trees, on rayon's threads: `ours` and `kernels` have for each the seconds by round and run, none of a tree that was not followed.
-fn observe_all<'a>(
-    trees: &[Candidate],
-    prepared: &[(Prepared, OcclusionOrder)],
-    queries: &Queries,
-    ours: impl Iterator<Item = &'a Vec<Vec<f64>>>,
-    kernels: &[Vec<Vec<f64>>],
-) -> Vec<Observation> {
-    let ours: Vec<&Vec<Vec<f64>>> = ours.take(trees.len()).collect();
-    let of_tree = |number: usize| {
-        let bvh = trees[number].bvh;
-        let (prepared, order) = &prepared[number];
-        let mut observations = Vec::new();
-        if let Some(rounds) = ours.get(number) {
-            let follower = Follower::Ours;
-            let followed = Followed { follower, number, tree: bvh.tree, prepared, order, rounds };
-            observations = followed.observe(queries);
-        }
-        if let Some(rounds) = kernels.get(number).filter(|rounds| !rounds.is_empty()) {
-            let planted = slots::as_planted(bvh.tree, bvh.order);
-            let prepared = &Prepared::new(planted.view(), bvh.triangles, bvh.geometries);
-            let (follower, order) = (Follower::Embree, &OcclusionOrder::First);
-            let followed = Followed { follower, number, tree: planted.view(), prepared, order, rounds };
-            observations.extend(followed.observe(queries));
-        }
-        observations
+/// How many queries can be timed in `left` seconds, in so many rounds and ways beside the plain one, under so many of Embree's trees.
+///
+/// # Errors
+/// A line, when those are too few.
+fn affordable(
+    result: &RecordingResult,
+    (ways, kernels): (usize, usize),
+    rounds: f64,
+    left: f64,
+) -> Result<usize, String> {
+    let run = |run: &Run| {
+        let total = &run.outcome.tallies.total;
+        total.seconds / total.queries.max(1) as f64
     };
-    let each: Vec<Vec<Observation>> = (0..trees.len()).into_par_iter().map(of_tree).collect();
-    each.concat()
+    let trees = result.trees.iter();
+    let ours: f64 = trees.clone().flat_map(|tree| &tree.runs).map(run).sum();
+    let least: f64 = trees.map(|tree| tree.runs.iter().map(run).fold(f64::INFINITY, f64::min)).sum();
+    let each = ours * (1 + ways) as f64 + least * kernels as f64 / result.trees.len() as f64;
+    let all = result.trees[0].runs[0].outcome.tallies.total.queries.min(MOST_QUERIES);
+    let fewest = all.min(LEAST_QUERIES) as f64;
+    let affordable = left / (rounds * each);
+    if affordable < fewest {
+        let seconds = rounds * each * fewest;
+        return Err(format!("No times: they would take {seconds:.1} s or more; --time measures them."));
+    }
+    Ok(affordable.min(all as f64) as usize)
 }

@@ -1,7 +1,10 @@
 //! A comparison as CSV: a row per recording, tree, traversal and group of queries, with the tree's own numbers repeated.
 
+use super::time::Nanoseconds;
 use super::{gamma_quantile, groups, mean};
-use crate::compare::Comparison;
+use crate::compare::kernels::Recorded;
+use crate::compare::timing::{Seconds, Time, Timing};
+use crate::compare::{Comparison, RecordingResult, kind_name};
 use crate::traverse::Decisions;
 use std::fmt::Write;
 
@@ -11,10 +14,14 @@ const COLUMNS: &str = "path,nodes,leaves,depth,max_children,sah_cost,t_r,tree_ga
                        primitive_tests_median,primitive_tests_p99,gamma_median,gamma_p99,epo,leaf_count_variability,\
                        early_hits,early_misses,by_rays,few,octets,cost,cost_ratio,leaf_visits,block_tests,rays";
 
-/// The whole comparison, a header line first.
+/// Columns that follow where times were measured.
+const TIMES: &str = ",ns,ns_least,ns_greatest";
+
+/// The whole comparison, a header line first. Where times were measured, also a row per group under Embree's kernels, on each tree and on Embree's own.
 pub fn render(comparison: &Comparison) -> String {
     let costs = &comparison.settings.costs;
-    let mut text = format!("{COLUMNS}\n");
+    let is_timed = comparison.recordings.iter().any(|recording| recording.timing.is_some());
+    let mut text = format!("{COLUMNS}{}\n", if is_timed { TIMES } else { "" });
     for (place, (recording, tree, result)) in comparison.results().enumerate() {
         let number = place % comparison.trees.len();
         let firsts = &recording.trees[0].runs;
@@ -73,8 +80,64 @@ pub fn render(comparison: &Comparison) -> String {
                 let [cost, ratio] =
                     [cost, ratio].map(|value| value.map_or(String::new(), |it| it.to_string()));
                 let (leaves, blocks) = (counts.leaf_visits, counts.block_tests);
-                let _ = writeln!(text, ",{cost},{ratio},{leaves},{blocks},{rays}");
+                let _ = write!(text, ",{cost},{ratio},{leaves},{blocks},{rays}");
+                if is_timed {
+                    let time = recording.timing.as_ref().and_then(|timing| {
+                        let run = result.runs.iter().position(|other| std::ptr::eq(other, run))?;
+                        let time = &timing.trees[number][run];
+                        let mut times = timed_groups(timing, time).into_iter();
+                        times.find(|(by, name, ..)| (*by, name.as_str()) == (group.by, group.name.as_str()))
+                    });
+                    text += &time.map_or(",,,".to_owned(), |(_, _, queries, seconds)| ns(&seconds, queries));
+                }
+                text.push('\n');
             }
+        }
+    }
+    comparison.recordings.iter().for_each(|recording| text += &embrees(comparison, recording));
+    text
+}
+
+/// Times in nanoseconds per query, each behind a comma.
+fn ns(seconds: &Seconds, queries: u64) -> String {
+    let Nanoseconds { median, least, greatest } = Nanoseconds::of(seconds, queries);
+    format!(",{median},{least},{greatest}")
+}
+
+/// Groups that were timed, as [`groups`] names them: their queries and what these took.
+fn timed_groups(timing: &Timing, time: &Time) -> Vec<(&'static str, String, u64, Seconds)> {
+    let mut groups = vec![("total", "all".to_owned(), timing.queries, time.total)];
+    let kinds = timing.by_kind.iter().filter_map(|(kind, &queries)| {
+        Some(("kind", kind_name(*kind).to_owned(), queries, *time.by_kind.get(kind)?))
+    });
+    let purposes = timing.by_purpose.iter().filter_map(|(purpose, &queries)| {
+        Some(("purpose", purpose.name().to_owned(), queries, *time.by_purpose.get(purpose)?))
+    });
+    groups.extend(kinds.chain(purposes));
+    groups
+}
+
+/// Rows of Embree's kernels: their traversal is `embree`, and what has nothing to do with time is empty.
+fn embrees(comparison: &Comparison, recording: &RecordingResult) -> String {
+    let mut text = String::new();
+    let Some(timing) = &recording.timing else { return text };
+    let (Some(times), Some(Ok(kernels))) = (&timing.kernels, &comparison.kernels) else { return text };
+    let unlike = kernels.unlike(&Recorded::of(&comparison.trees, recording)).join("; ");
+    let unlike = if unlike.is_empty() { unlike } else { format!("; not what was recorded: {unlike}") };
+    let own = kernels.own.iter().map(|quality| {
+        format!("Embree's own: {}, {quality}, {}{unlike}", kernels.name(), kernels.scene_name())
+    });
+    let paths = comparison.trees.iter().map(|tree| tree.path.clone()).chain(own);
+    // Between the path and the traversal, and between the queries and the recording.
+    let blank = |count: usize| ",".repeat(count + 1);
+    let between = blank(COLUMNS.split(',').count() - 13);
+    for (path, time) in paths.zip(times.trees.iter().chain(&times.own)) {
+        let Some(time) = time else { continue };
+        for (by, name, queries, seconds) in timed_groups(timing, time) {
+            let (path, rays) = (quoted(&path), quoted(&recording.path));
+            let times = ns(&seconds, queries);
+            // Writing to a String cannot fail.
+            let _ = writeln!(text, "{path}{}embree,{by},{name},{queries}{between}{rays}{times}", blank(7));
         }
     }
     text

@@ -47,6 +47,7 @@ pub fn render(comparison: &Comparison, circumstances: &Circumstances, failures: 
                             }
                         }
                         @for recording in &comparison.recordings { (sentence(comparison, recording, &names)) }
+                        @if let Some(why) = &comparison.left_out { p.soft { (why) } }
                         @for (number, recording) in comparison.recordings.iter().enumerate() {
                             (results(comparison, recording, number + 1, pictures))
                         }

@@ -32,6 +32,9 @@ struct Report<'a> {
     timing: Option<Timed>,
     #[serde(skip_serializing_if = "Option::is_none")]
     embree: Option<EmbreeJson>,
+    /// Why there are no times, where nobody said whether to measure them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    left_out: Option<&'a str>,
     #[serde(skip_serializing_if = "Option::is_none")]
     failures: Option<&'a [String]>,
 }
@@ -210,6 +213,7 @@ fn report_of<'a>(
         trees,
         timing: Timed::of(comparison, recording),
         embree: EmbreeJson::of(comparison, recording),
+        left_out: comparison.left_out.as_deref(),
         failures,
     }
 }

@@ -2,7 +2,7 @@
 
 use super::json_time::TimeJson;
 use super::time::Nanoseconds;
-use crate::compare::kernels::{Answers, Differences, Planting};
+use crate::compare::kernels::{Answers, Differences, Planting, Recorded};
 use crate::compare::timing::{KernelTimes, Seconds, Time, Timing};
 use crate::compare::{Comparison, RecordingResult, kind_name, relative};
 use serde::Serialize;
@@ -15,11 +15,21 @@ pub(super) struct EmbreeJson {
     isa: String,
     structure: String,
     robust: bool,
+    /// Whether the scene has the triangles of instances in their place.
+    flattened: bool,
+    /// Whether it has the program's filters: never.
+    filters: bool,
+    /// What files say of the Embree that was recorded.
+    recorded: RecordedJson,
+    /// In what that is another one, a phrase each.
+    unlike_recorded: Vec<String>,
     /// Of the tree that the times are of.
     quality: &'static str,
     /// Queries that it answers otherwise than recorded, hit or miss.
-    differing: u64,
-    answers: AnswersJson,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    differing: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    answers: Option<AnswersJson>,
     #[serde(flatten)]
     time: Option<TimeJson>,
     /// The same of its tree of high quality.
@@ -27,11 +37,19 @@ pub(super) struct EmbreeJson {
     high: Option<TimeJson>,
 }
 
+#[derive(Serialize)]
+struct RecordedJson {
+    version: Option<u32>,
+    isa: Option<String>,
+    filters: bool,
+}
+
 impl EmbreeJson {
     /// `None` when Embree was not asked, or has no such scene.
     pub fn of(comparison: &Comparison, recording: &RecordingResult) -> Option<EmbreeJson> {
         let kernels = comparison.kernels.as_ref()?.as_ref().ok()?;
-        let answers = &recording.kernels.as_ref()?.own;
+        let answers = recording.kernels.as_ref().map(|answers| &answers.own);
+        let recorded = Recorded::of(&comparison.trees, recording);
         let times = recording.timing.as_ref().and_then(|timing| timing.kernels.as_ref());
         let time = |number: usize| times?.own.get(number)?.as_ref().map(TimeJson::of);
         Some(EmbreeJson {
@@ -39,9 +57,17 @@ impl EmbreeJson {
             isa: kernels.isa.clone(),
             structure: kernels.structure.clone(),
             robust: kernels.robust,
+            flattened: kernels.is_flattened,
+            filters: false,
+            unlike_recorded: kernels.unlike(&recorded),
+            recorded: RecordedJson {
+                version: recorded.version,
+                isa: recorded.isa,
+                filters: recorded.has_filters,
+            },
             quality: kernels.own[0],
-            differing: answers.differing,
-            answers: AnswersJson::of(answers),
+            differing: answers.map(|answers| answers.differing),
+            answers: answers.map(AnswersJson::of),
             time: time(0),
             high: time(1),
         })

@@ -2,7 +2,7 @@
 //! what the answers are worth.
 
 use super::{grouped, tree_names};
-use crate::compare::kernels::{Answers, Kernels};
+use crate::compare::kernels::{Answers, Kernels, Recorded};
 use crate::compare::timing::{KernelTimes, Time, Timing};
 use crate::compare::{Comparison, RecordingResult, relative};
 use crate::format::rays::kind::OCCLUSION;
@@ -26,7 +26,7 @@ pub(crate) fn shown(comparison: &Comparison, recording: &RecordingResult) -> Opt
             return Some(Shown { header: Vec::new(), rows: Vec::new(), notes });
         }
     };
-    let answers = recording.kernels.as_ref()?;
+    let answers = recording.kernels.as_ref();
     let times = recording.timing.as_ref().and_then(|timing| Some((timing, timing.kernels.as_ref()?)));
     let mut header = vec!["Tree"];
     if let Some((timing, times)) = times {
@@ -34,26 +34,32 @@ pub(crate) fn shown(comparison: &Comparison, recording: &RecordingResult) -> Opt
         header.extend((times.own.len() > 1).then_some("/ best"));
         header.extend(kinds(timing));
     }
-    header.extend(["wrong", "borderline", "flipped", "apart"]);
+    if answers.is_some() {
+        header.extend(["wrong", "borderline", "flipped", "apart"]);
+    }
     let row = |name: String, time: Option<&Time>, answers: Option<&Answers>| {
         let mut cells = vec![name];
         if let Some((timing, times)) = times {
             cells.extend(ratios(timing, times, time));
         }
-        cells.extend(judged(answers));
+        if header.len() > cells.len() {
+            cells.extend(judged(answers));
+        }
         cells
     };
     let mut rows = Vec::new();
-    for (tree, (name, answers)) in tree_names(comparison).into_iter().zip(&answers.trees).enumerate() {
+    for (tree, name) in tree_names(comparison).into_iter().enumerate() {
         let time = times.and_then(|(_, times)| times.trees[tree].as_ref());
-        rows.push(row(name, time, answers.as_ref()));
+        rows.push(row(name, time, answers.and_then(|answers| answers.trees[tree].as_ref())));
     }
     for (number, quality) in kernels.own.iter().enumerate() {
         let time = times.and_then(|(_, times)| times.own[number].as_ref());
         // Only those of the scene in which trees are planted are asked for.
-        rows.push(row(format!("Embree {quality}"), time, (number == 0).then_some(&answers.own)));
+        let answers = answers.filter(|_| number == 0).map(|answers| &answers.own);
+        rows.push(row(format!("Embree {quality}"), time, answers));
     }
-    Some(Shown { header, rows, notes: notes(comparison, kernels, &answers.own) })
+    let notes = notes(comparison, recording, kernels);
+    Some(Shown { header, rows, notes })
 }
 
 /// Columns of the kinds of queries.
@@ -88,7 +94,7 @@ fn judged(answers: Option<&Answers>) -> [String; 4] {
     [*mismatches, *borderline, flipped, apart].map(grouped)
 }
 
-fn notes(comparison: &Comparison, kernels: &Kernels, own: &Answers) -> Vec<String> {
+fn notes(comparison: &Comparison, recording: &RecordingResult, kernels: &Kernels) -> Vec<String> {
     let mut notes: Vec<String> = comparison
         .trees
         .iter()
@@ -97,18 +103,27 @@ fn notes(comparison: &Comparison, kernels: &Kernels, own: &Answers) -> Vec<Strin
             Some(format!("{}: not planted: {}.", tree.path, planted.as_ref().err()?))
         })
         .collect();
-    notes.push(format!(
-        "{}: its own trees, and each of these planted in the scene of medium quality. Answers to {} \
-         queries; flipped and apart: those, singly and in packets, that are not Embree's on its own \
-         tree (a hit for a miss, or t beyond 1e-4).",
+    let mut own = format!(
+        "Embree's own: {}, {}, on the trees that it builds, and each of these planted in the scene of medium quality.",
         kernels.name(),
-        grouped(own.queries)
+        kernels.scene_name()
+    );
+    let unlike = kernels.unlike(&Recorded::of(&comparison.trees, recording));
+    if !unlike.is_empty() {
+        own += &format!(" Not what was recorded: {}.", unlike.join("; "));
+    }
+    notes.push(own);
+    let Some(answers) = recording.kernels.as_ref().map(|answers| &answers.own) else { return notes };
+    notes.push(format!(
+        "Answers to {} queries; flipped and apart: those, singly and in packets, that are not Embree's on its own tree (a hit for a \
+         miss, or t beyond 1e-4).",
+        grouped(answers.queries)
     ));
-    notes.extend((own.unjudged > 0).then(|| {
+    notes.extend((answers.unjudged > 0).then(|| {
         format!(
             "Not judged: {} of them, in which a filter of the program's had a say, or that hit what \
              moves or is no triangle.",
-            grouped(own.unjudged)
+            grouped(answers.unjudged)
         )
     }));
     notes

@@ -55,6 +55,9 @@ fn block(comparison: &Comparison, recording: &RecordingResult, names: &[String],
             &format!("\n{}\n{}\n", packets::title(comparison, size), packets(comparison, recording, names));
     }
     text += &times(comparison, recording);
+    if let Some(why) = &comparison.left_out {
+        text += &format!("\n{}\n", time::wrapped(why));
+    }
     text += &embrees(comparison, recording);
     for (index, traversal) in comparison.settings.traversals.iter().enumerate() {
         if let Some(levels) = levels(recording, names, index).filter(|_| details) {

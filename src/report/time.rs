@@ -69,9 +69,10 @@ pub(crate) fn rows(comparison: &Comparison, recording: &RecordingResult) -> Vec<
             rows.push(row(timing, name, "Embree".to_owned(), time.as_ref(), base));
         }
         let library = format!("{} {}", version(kernels.version), kernels.isa).trim_end().to_owned();
+        let flattened = if kernels.is_flattened { ", flattened" } else { "" };
         for (time, quality) in times.own.iter().zip(&kernels.own) {
-            // What it is stands in the wider column.
-            let order = format!("{library} {quality}");
+            // What it is stands in the wider column, and in full below the table of its kernels.
+            let order = format!("{library} {quality}{flattened}");
             rows.push(row(timing, "Embree".to_owned(), order, time.as_ref(), base));
         }
     }

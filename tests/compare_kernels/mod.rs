@@ -97,6 +97,10 @@ fn answers_on_planted_trees_are_those_of_brute_force_and_json_has_its_keys() {
         files.json(&[two, four, eight, "casts.rays", "--time", "--rounds", "3", "--traversal", "odf"]);
     let embree = &report["embree"];
     assert!(number(&embree["version"]) > 30000 && embree["quality"] == "medium" && embree["robust"] == false);
+    // What Embree's own is, and in what it is not what was recorded: brute force, with filters.
+    assert_eq!((&embree["flattened"], &embree["filters"]), (&false.into(), &false.into()));
+    assert_eq!(embree["recorded"], serde_json::json!({"version": null, "isa": null, "filters": true}));
+    assert_eq!(embree["unlike_recorded"], serde_json::json!(["the program has filters"]));
     assert!(embree["seconds"].as_f64() > Some(0.0) && embree["high"]["seconds"].as_f64() > Some(0.0));
     assert_right(&embree["answers"], 3000, filtered.len() as u64);
     for (tree, children) in [2, 4, 8].into_iter().enumerate() {
@@ -249,6 +253,9 @@ fn quads_are_planted_and_instances_are_not() {
     let report = files.json(&["placed.bvh", "field.rays", "--time", "--rounds", "1"]);
     assert_eq!(on(&report, 0)["planted"], false);
     assert!(on(&report, 0)["why"].as_str().is_some_and(|why| why.contains("instances")));
+    assert_eq!(report["embree"]["unlike_recorded"], serde_json::json!(["the program has instances"]));
+    let table = text(&files.run(&["placed.bvh", "field.rays", "--time", "--rounds", "1"]).stdout);
+    assert!(table.contains("instances flattened, without filters"), "{table}");
     // Embree on its own tree goes on beside it.
     assert_right(&report["embree"]["answers"], records.len() as u64, 0);
 }

@@ -42,7 +42,15 @@ impl Files {
         std::fs::read(self.path(name)).expect("reading a test file")
     }
 
+    /// Runs without times, unless the arguments are about these.
     pub fn run(&self, arguments: &[&str]) -> Output {
+        const TIMED: [&str; 7] =
+            ["--time", "--no-time", "--fit", "--fit-costs", "--fit-reports", "--rounds", "--mpi"];
+        let is_timed = arguments.iter().any(|word| TIMED.contains(word));
+        self.run_as_given(&[arguments, if is_timed { &[] } else { &["--no-time"] }].concat())
+    }
+
+    pub fn run_as_given(&self, arguments: &[&str]) -> Output {
         Command::new(env!("CARGO_BIN_EXE_bvh-compare"))
             .args(arguments)
             .current_dir(self.directory.path())

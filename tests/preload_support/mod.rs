@@ -106,7 +106,17 @@ impl Run {
             // Exits with 1 on a mismatch.
             let compared = good(
                 env!("CARGO_BIN_EXE_bvh-compare"),
-                &[&tree, "casts.rays", "--scene", &scene, "--traversal", "odf", "--format", "json"],
+                &[
+                    &tree,
+                    "casts.rays",
+                    "--scene",
+                    &scene,
+                    "--traversal",
+                    "odf",
+                    "--no-time",
+                    "--format",
+                    "json",
+                ],
             );
             let compared: serde_json::Value = serde_json::from_slice(&compared).unwrap();
             let counts = &compared["trees"][0]["traversals"]["odf"];

@@ -3,7 +3,7 @@
 
 use super::super::timing::clock;
 use super::super::{Candidate, CompareError, Recording};
-use super::{Answers, AnswersOnTrees, Kernels, Planting, Wanted};
+use super::{Answers, AnswersOnTrees, Kernels, Planting, Wanted, told};
 use crate::embree::{self, Arrays, EmbreeError, Isa, Planted, Quality, Scene, Settings, TreeSource, whole};
 use crate::format::bvh::{Bvh, flag};
 use crate::format::rays::NO_TRIANGLE;
@@ -64,15 +64,17 @@ impl EmbreeScenes {
             plantings.push(found.as_ref().map(planting).map_err(String::clone));
             planted.push(found.ok());
         }
-        let (kernels, structure) = told(&producer);
+        let (named, structure) = told(&producer);
         // Embree names some kernels by the least instruction set that they need.
-        let isa = wanted.isa.map_or(kernels, str::to_owned);
+        let isa = wanted.isa.map_or_else(|| named.clone(), str::to_owned);
         let own = [Quality::Medium].into_iter().chain(high.as_ref().map(|_| Quality::High));
         let kernels = Kernels {
             version: Scene::version(),
             isa,
             structure,
+            named,
             robust: settings.robust,
+            is_flattened: first.header.flags & flag::FLATTENED != 0,
             own: own.map(Quality::name).collect(),
             trees: plantings,
         };
@@ -162,15 +164,6 @@ fn plant(scene: &mut Scene, bvh: &Bvh) -> Result<Planted, String> {
     let geometries = whole(bvh.geometries, bvh.triangles.len());
     let arrays = Arrays { geometries: &geometries, ..Arrays::from(bvh) };
     scene.plant(arrays).map_err(|error| error.to_string())
-}
-
-/// Instruction set and structure, from such as `embree 3.13.5 avx2 BVH8<triangle4>`.
-fn told(producer: &str) -> (String, String) {
-    let mut words = producer.split(' ').skip(2).map(str::to_owned);
-    match (words.next(), words.next()) {
-        (Some(isa), Some(structure)) => (isa, structure),
-        (structure, _) => (String::new(), structure.unwrap_or_default()),
-    }
 }
 
 fn judge<'a>(bvh: &'a Bvh) -> Judge<'a> {

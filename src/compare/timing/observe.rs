@@ -3,12 +3,16 @@
 //! They are counted as trees are judged ([`crate::cost::counter`]), once the times are known: for our traversal depth first, and for Embree's kernels over the same tree with
 //! children in the order in which these ask them. The groups are the same for every tree.
 
-use super::{Queries, Seconds};
+use super::super::Candidate;
+use super::Seconds;
+use super::queries::Queries;
 use crate::cost::Counted;
 use crate::cost::counter::Counter;
+use crate::optimize::slots;
 use crate::replay::tally::Cell;
 use crate::traverse::{OcclusionOrder, Prepared};
 use crate::tree::TreeView;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Parts of a recording whose queries of one cell are a group: large enough that the clock's noise averages out.
@@ -56,19 +60,19 @@ pub struct Observation {
 }
 
 /// A tree as it was followed.
-pub(super) struct Followed<'a> {
-    pub follower: Follower,
-    pub number: usize,
-    pub tree: TreeView<'a>,
-    pub prepared: &'a Prepared,
-    pub order: &'a OcclusionOrder,
+struct Followed<'a> {
+    follower: Follower,
+    number: usize,
+    tree: TreeView<'a>,
+    prepared: &'a Prepared,
+    order: &'a OcclusionOrder,
     /// Seconds by round, then by run.
-    pub rounds: &'a [Vec<f64>],
+    rounds: &'a [Vec<f64>],
 }
 
 impl Followed<'_> {
     /// Every group, in the order of the recording.
-    pub fn observe(&self, queries: &Queries) -> Vec<Observation> {
+    fn observe(&self, queries: &Queries) -> Vec<Observation> {
         let mut groups: BTreeMap<(usize, Cell), (Counted, Vec<f64>)> = BTreeMap::new();
         let mut counter = Counter::new(self.prepared, self.tree, self.order);
         for (number, (cell, range)) in queries.runs.iter().enumerate() {
@@ -90,4 +94,35 @@ impl Followed<'_> {
         };
         groups.into_iter().map(observation).collect()
     }
+}
+
+/// Observations of all trees, on rayon's threads: `ours` and `kernels` have for each the seconds by round and run, none of a tree that was not followed.
+pub(super) fn observe_all<'a>(
+    trees: &[Candidate],
+    prepared: &[(Prepared, OcclusionOrder)],
+    queries: &Queries,
+    ours: impl Iterator<Item = &'a Vec<Vec<f64>>>,
+    kernels: &[Vec<Vec<f64>>],
+) -> Vec<Observation> {
+    let ours: Vec<&Vec<Vec<f64>>> = ours.take(trees.len()).collect();
+    let of_tree = |number: usize| {
+        let bvh = trees[number].bvh;
+        let (prepared, order) = &prepared[number];
+        let mut observations = Vec::new();
+        if let Some(rounds) = ours.get(number) {
+            let follower = Follower::Ours;
+            let followed = Followed { follower, number, tree: bvh.tree, prepared, order, rounds };
+            observations = followed.observe(queries);
+        }
+        if let Some(rounds) = kernels.get(number).filter(|rounds| !rounds.is_empty()) {
+            let planted = slots::as_planted(bvh.tree, bvh.order);
+            let prepared = &Prepared::new(planted.view(), bvh.triangles, bvh.geometries);
+            let (follower, order) = (Follower::Embree, &OcclusionOrder::First);
+            let followed = Followed { follower, number, tree: planted.view(), prepared, order, rounds };
+            observations.extend(followed.observe(queries));
+        }
+        observations
+    };
+    let each: Vec<Vec<Observation>> = (0..trees.len()).into_par_iter().map(of_tree).collect();
+    each.concat()
 }
