@@ -7,7 +7,7 @@ use compare_support::*;
 use embree_trace::builder::Splits;
 use embree_trace::cost::Costs;
 use embree_trace::format::bvh::{self, Bvh, Contents, fingerprint};
-use embree_trace::format::rays::{Rays, Record, flag};
+use embree_trace::format::rays::{Purpose, Rays, Record, flag};
 use embree_trace::geometry::{Ray, Triangle, Vec3};
 use embree_trace::progress::Progress;
 use embree_trace::recipe::auto::{self, Chosen, Scene};
@@ -224,7 +224,8 @@ fn best_with(
     change: impl Fn(&mut best::Config),
 ) -> Result<best::Chosen, RecipeError> {
     let shape = Shape { width: 8, max_leaf: finish::MAX_LEAF, costs: without_misses() };
-    let mut config = best::Config { shape, budget: Duration::from_secs(600), area_only: false, cuts: true };
+    let budget = Duration::from_secs(600);
+    let mut config = best::Config { shape, budget, trials: usize::MAX, area_only: false, cuts: true };
     change(&mut config);
     let (scene, tree) = (judge::Scene { triangles, geometries: &[] }, wide_input(triangles));
     let input = best::Input { tree: tree.view(), order: OcclusionOrder::Last, is_cut: false };
@@ -258,7 +259,6 @@ fn the_tree_for_the_machine_is_the_cheapest_tried_by_what_a_traversal_counts() {
     let queries = queries(&triangles, &beam(1600));
     let chosen = best_with(&triangles, &queries, |_| ()).expect("queries");
     let winner = &chosen.trials[chosen.winner.expect("judged")];
-    assert!(chosen.trials.iter().all(|trial| trial.cost >= winner.cost), "{:?}", chosen.trials);
     let near = |a: f64, b: f64| (a - b).abs() < 1e-9 * b;
     assert!(near(nanoseconds(&chosen.tree, &triangles, &queries, 0), winner.cost));
     let after = chosen.after.all.expect("confirmed");
@@ -269,9 +269,9 @@ fn the_tree_for_the_machine_is_the_cheapest_tried_by_what_a_traversal_counts() {
     let whole = best_with(&triangles, &queries, |config| config.cuts = false).expect("queries");
     assert_eq!((whole.tree.primitives.len(), whole.is_cut), (triangles.len(), false));
     let control = best_with(&triangles, &queries, |config| config.area_only = true).expect("queries");
-    assert!(
-        control.trials.iter().all(|trial| matches!(trial.plan.start, best::Start::Built(Heuristic::Sah, ..)))
-    );
+    let by_area =
+        |start: best::Start| matches!(start, best::Start::Input | best::Start::Built(Heuristic::Sah, ..));
+    assert!(control.trials.iter().all(|trial| by_area(trial.plan.start)));
 }
 
 #[test]
@@ -296,6 +296,33 @@ fn more_time_for_the_machines_tree_means_more_trials_never_others() {
         assert!(least(&all) <= least(&some));
     }
     assert_eq!(on(1, Duration::ZERO).trials.len(), 1);
+}
+
+/// With one trial more, and one more: the tree never costs the judges more than before, followed
+/// one by one, nor more than the best from area.
+#[test]
+fn more_trials_never_give_a_tree_that_is_worse_for_the_judges() {
+    let triangles = soup(150, 0.3, &mut Random(2));
+    for (rays, count) in [(beam(600), 600), (beam(40), 40), (rays(&triangles, 300, &mut Random(8)), 300)] {
+        let queries = queries(&triangles, &rays);
+        let judges = queries.iter().filter(|query| query.judges).count();
+        assert_eq!(judges, count / 4);
+        let total = |tree: &Tree| {
+            let halves = [judges.div_ceil(2), judges / 2].map(|half| half as f64);
+            let costs = [0, 1].map(|odd| nanoseconds(tree, &triangles, &queries, odd));
+            (halves[0] * costs[0] + halves[1] * costs[1]) / judges as f64
+        };
+        let after = |trials: usize, area_only: bool| {
+            let change = |config: &mut best::Config| (config.trials, config.area_only) = (trials, area_only);
+            let chosen = best_with(&triangles, &queries, change).expect("queries");
+            assert!(chosen.trials.len() <= trials);
+            (total(&chosen.tree), chosen.trials.len())
+        };
+        let costs: Vec<f64> = (1..=22).map(|trials| after(trials, false).0).collect();
+        assert!(costs.is_sorted_by(|a, b| *b <= a * (1.0 + 1e-12)), "{costs:?}");
+        // The first trial is area's.
+        assert!(costs[21] <= costs[0] && after(1, true).0 == costs[0]);
+    }
 }
 
 #[test]
@@ -474,4 +501,232 @@ fn recordings_of_no_use_give_a_line_or_the_area_tree() {
     refused(&files, "--train 0", "above 0");
     refused(&Files::new(&triangles, &[], scene), "", "the recording is empty");
     refused(&Files::new(&triangles, &good, scene ^ 1), "", "of scene");
+}
+
+/// Builds with JSON; what auto says of it.
+fn best_report(files: &Files, line: &str) -> serde_json::Value {
+    let output = files.run(&format!("in.bvh out.bvh --rays casts.rays --format json {line}"));
+    assert_eq!(output.status.code(), Some(0), "{line}: {}", String::from_utf8_lossy(&output.stderr));
+    let bytes = std::fs::read(files.directory.path().join("out.bvh")).expect("written");
+    let bvh = Bvh::parse(&bytes).expect("valid");
+    bvh.verify().expect("a valid tree");
+    assert!(bvh.statistics.max_children <= 8);
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    report["build"].clone()
+}
+
+/// No tree from area that was tried is cheaper by what chooses: queries, or area where no query
+/// judges. And none by what confirms.
+fn no_worse_than_area(build: &serde_json::Value) {
+    let auto = &build["auto"];
+    let trials = auto["trials"].as_array().expect("trials");
+    let by_area = build["area_only"] == true;
+    let is_area = |trial: &&serde_json::Value| by_area || trial["plan"]["heuristic"] == "sah";
+    let cost = |trial: &serde_json::Value| trial["cost"].as_f64().expect("a cost");
+    let area = trials.iter().filter(is_area).map(cost).fold(f64::INFINITY, f64::min);
+    assert!(area.is_finite() && trials.iter().all(|trial| cost(trial).is_finite()), "{auto}");
+    let Some(winner) = auto["winner"].as_u64() else {
+        assert_eq!(auto["judges"], 0);
+        return;
+    };
+    let chosen = &trials[winner as usize];
+    assert_eq!(auto["plan"], chosen["plan"]);
+    // Of all judges: those that choose, and those that confirm.
+    let [choosing, confirming] = ["judges", "confirming"].map(|key| auto[key].as_f64().expect(key));
+    let total = |cost: f64, tree: &str| {
+        let confirmed = auto["cost"][tree]["all"].as_f64().unwrap_or_default();
+        (choosing * cost + confirming * confirmed) / (choosing + confirming)
+    };
+    assert!(total(cost(chosen), "tree") <= total(area, "area") * (1.0 + 1e-12), "{auto}");
+}
+
+/// Recordings that say little, with time for one tree and for all of them.
+#[test]
+fn recordings_that_say_little_give_a_tree_no_worse_than_area() {
+    let triangles = soup(120, 0.25, &mut Random(11));
+    let scene = fingerprint(&triangles);
+    let all = accepted(&triangles, 900);
+    let only = |accepts: &dyn Fn(&Record) -> bool| -> Vec<Record> {
+        all.iter().filter(|record| accepts(record)).copied().collect()
+    };
+    // As a program would have recorded it: answered by a loop over all triangles, of which each
+    // sees all.
+    let towards = |direction: Vec3| -> Vec<Record> {
+        let mut random = Random(3);
+        let aimed = |(path, kind): (u32, u8)| {
+            let origin = random.vector() - 3.0 * direction;
+            let ray = Ray { origin, tnear: 0.0, direction, tfar: f32::INFINITY };
+            let hits = triangles.iter().enumerate().filter_map(|(index, triangle)| {
+                let hit = exact(&ray, triangle)?;
+                (hit.margin >= 0.0 && hit.t > 0.0).then_some((index as u32, hit.t as f32))
+            });
+            let nearest = hits.min_by(|a, b| a.1.total_cmp(&b.1));
+            let (triangle, t) = nearest.unwrap_or((u32::MAX, f32::INFINITY));
+            let occluded = kind == 1 && nearest.is_some();
+            Record {
+                origin,
+                direction,
+                tfar: f32::INFINITY,
+                mask: u32::MAX,
+                t: if occluded { f32::NEG_INFINITY } else { t },
+                triangle: if kind == 1 { u32::MAX } else { triangle },
+                path,
+                kind,
+                flags: nearest.map_or(0, |_| flag::HIT),
+                ..bytemuck::Zeroable::zeroed()
+            }
+        };
+        (0..600).map(|path| (path, (path % 3 == 0) as u8)).map(aimed).collect()
+    };
+    let few = |count: usize| all[..count].to_vec();
+    for (what, records) in [
+        ("closest hits alone", only(&|record| !record.is_occlusion())),
+        ("occlusions alone", only(&Record::is_occlusion)),
+        ("misses alone", only(&|record| !record.is_hit())),
+        ("one direction", towards(Vec3::new(0.6, -0.7, 0.4))),
+        ("along an axis", towards(Vec3::X)),
+        ("against an axis", towards(-Vec3::Y)),
+        ("along an axis, with a zero below zero", towards(Vec3::new(-0.0, 0.0, 1.0))),
+        ("one query", few(1)),
+        ("two queries", few(2)),
+        ("ten queries", few(10)),
+        ("one query, again and again", vec![all[0]; 500]),
+    ] {
+        let files = Files::wide(&triangles, &records, scene);
+        for line in ["--budget 0", "--budget 60", "--budget 60 --no-splits"] {
+            let build = best_report(&files, line);
+            assert_eq!(build["training"]["queries"], records.len(), "{what}");
+            no_worse_than_area(&build);
+            let trials = build["auto"]["trials"].as_array().map_or(0, Vec::len);
+            assert_eq!(trials == 1, line == "--budget 0", "{what}: {trials}");
+        }
+    }
+    let files = Files::wide(&triangles, &[], scene);
+    let output = files.run("in.bvh out.bvh --rays casts.rays");
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{error}");
+    assert!(error.contains("the recording is empty") && error.lines().count() == 1, "{error}");
+    assert!(!files.directory.path().join("out.bvh").exists());
+}
+
+/// Costs that no tree can be chosen by are one line, wherever they are read.
+#[test]
+fn costs_of_no_use_are_one_line() {
+    let triangles = soup(60, 0.25, &mut Random(11));
+    let files = Files::wide(&triangles, &accepted(&triangles, 50), fingerprint(&triangles));
+    let path = |name: &str| files.directory.path().join(name);
+    let entry = |change: &str, to: &str| {
+        let entry =
+            r#"{"costs": [{"width": 8, "kind": "occlusion", "visit": 6.1, "leaf": 7.7, "block": 2.0}]}"#;
+        assert!(entry.contains(change), "{change}");
+        entry.replace(change, to)
+    };
+    let toml =
+        "[[costs]]\nwidth = 8\nkind = \"occlusion\"\nvisit = 6.1\nleaf = 7.7\nblock = 2.0\n".to_owned();
+    for (costs, expected) in [
+        (entry("6.1", "0"), "costs[0].visit is 0"),
+        (entry("7.7", "0.0"), "costs[0].leaf is 0"),
+        (entry("2.0", "-0.0"), "costs[0].block is -0"),
+        (entry("2.0", "-2"), "costs[0].block is -2"),
+        (entry("2.0", "1e300"), "costs[0].block is 1"),
+        (entry("2.0", "1e999"), "not a file of costs"),
+        (entry("2.0", "NaN"), "not a file of costs"),
+        (entry("2.0", "\"2\""), "not a file of costs"),
+        (entry(r#", "block": 2.0"#, ""), "missing field `block`"),
+        (entry(r#""width": 8, "#, ""), "missing field `width`"),
+        (entry("occlusion", "shadow"), "shadow"),
+        (entry("8", "16"), "has width 16"),
+        (entry("8", "-8"), "not a file of costs"),
+        (entry("]}", "]"), "not a file of costs"),
+        (toml, "not a file of costs"),
+        (String::new(), "not a file of costs"),
+        ("null".to_owned(), "not a file of costs"),
+        ("[".repeat(100_000), "not a file of costs"),
+    ] {
+        std::fs::write(path("costs.json"), &costs).expect("written");
+        let output = files.run("in.bvh out.bvh --rays casts.rays --costs costs.json");
+        let error = String::from_utf8_lossy(&output.stderr);
+        let shown = &costs[..costs.len().min(200)];
+        assert_eq!(output.status.code(), Some(2), "{shown}: {error}");
+        assert!(error.contains("costs.json") && error.contains(expected), "{shown}: {error}");
+        assert!(error.lines().count() == 1 && !path("out.bvh").exists(), "{shown}: {error}");
+    }
+    for costs in ["missing.json", ".", "in.bvh"] {
+        let output = files.run(&format!("in.bvh out.bvh --rays casts.rays --costs {costs}"));
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{error}");
+        assert!(error.contains(costs) && error.lines().count() == 1, "{error}");
+    }
+    // The least and the most that are accepted make a tree like any other.
+    for value in ["1e-300", "1e9"] {
+        let costs =
+            ["6.1", "7.7", "2.0"].iter().fold(entry("8", "8"), |costs, old| costs.replace(old, value));
+        std::fs::write(path("costs.json"), costs).expect("written");
+        no_worse_than_area(&best_report(&files, "--costs costs.json --budget 60"));
+    }
+}
+
+/// The control: as many trials, none of which is fitted to rays, and the same queries judge it.
+#[test]
+fn the_control_tries_area_alone_as_often() {
+    let triangles = soup(300, 0.3, &mut Random(1));
+    let files = Files::wide(&triangles, &accepted(&triangles, 2000), fingerprint(&triangles));
+    let ours = best_report(&files, "--budget 600");
+    let control = best_report(&files, "--budget 600 --area-only");
+    let trials = |build: &serde_json::Value| build["auto"]["trials"].as_array().expect("trials").clone();
+    let is_first_part = |trial: &&serde_json::Value| trial["plan"]["part"] == 0;
+    let [of_rays, of_area] =
+        [&ours, &control].map(|build| trials(build).iter().filter(is_first_part).count());
+    assert!(of_area.abs_diff(of_rays) <= 2, "{of_area} trials for {of_rays}");
+    assert_eq!(of_area, trials(&control).len());
+    let by_area = |plan: &serde_json::Value| plan["heuristic"] == "sah" || plan["start"] == "input";
+    assert!(trials(&control).iter().all(|trial| by_area(&trial["plan"])), "{control}");
+    let plans: std::collections::HashSet<String> =
+        trials(&control).iter().map(|trial| trial["plan"].to_string()).collect();
+    assert_eq!(plans.len(), of_area, "none is tried twice");
+    assert_eq!((&control["area_only"], &ours["area_only"]), (&true.into(), &false.into()));
+    assert_eq!(control["auto"]["judges"], ours["auto"]["judges"]);
+    assert_eq!(control["auto"]["cost"]["tree"], control["auto"]["cost"]["area"]);
+    no_worse_than_area(&control);
+
+    let refused = |files: &Files, line: &str, expected: &str| {
+        let output = files.run(&format!("in.bvh other.bvh --area-only {line}"));
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{error}");
+        assert!(error.contains(expected) && error.lines().count() == 1, "{error}");
+    };
+    refused(&files, "", "--rays");
+    refused(&files, "--rays casts.rays --splits sweep", "leave out what names a recipe");
+    let few = best_report(&files, "--budget 600 --trials 3");
+    assert_eq!(few["auto"]["trials"].as_array().expect("trials"), &trials(&ours)[..3]);
+    let binary = Files::new(&triangles, &accepted(&triangles, 100), fingerprint(&triangles));
+    refused(&binary, "--rays casts.rays", "--width 8");
+}
+
+/// A tree for one purpose is fitted to its queries, judged by them, and says so.
+#[test]
+fn a_tree_for_one_purpose_sees_no_other_queries() {
+    let triangles = soup(150, 0.25, &mut Random(11));
+    let scene = fingerprint(&triangles);
+    let mut records = accepted(&triangles, 1500);
+    let camera = Purpose::Camera as u8;
+    let files = Files::wide(&triangles, &records, scene);
+    let build = best_report(&files, "--budget 600 --filter purpose=camera");
+    let tree = std::fs::read(files.directory.path().join("out.bvh")).expect("written");
+    let auto = &build["auto"];
+    let count = records.iter().filter(|record| record.purpose == camera).count();
+    assert_eq!(build["training"]["queries"], count);
+    assert!(auto["judges"].as_u64().is_some_and(|judges| 0 < judges && 2 * judges < count as u64), "{auto}");
+    assert!(auto["cost"]["tree"]["occlusion"].is_null() && auto["cost"]["tree"]["closest_hit"].is_f64());
+    no_worse_than_area(&build);
+    // Whatever the others ask, the tree is the same, byte for byte.
+    for record in records.iter_mut().filter(|record| record.purpose != camera) {
+        record.origin += Vec3::splat(50.0);
+    }
+    let others = Files::wide(&triangles, &records, scene);
+    assert_eq!(best_report(&others, "--budget 600 --filter purpose=camera"), build);
+    assert!(std::fs::read(others.directory.path().join("out.bvh")).expect("written") == tree);
+    let output = files.run("in.bvh out.bvh --rays casts.rays --filter purpose=camera --budget 0");
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains("expected of other queries with purpose=camera"), "{said}");
 }

@@ -4,8 +4,8 @@ whether their answers stay: `tools/held-out --embree`.
 
 Each scene is rendered twice with different seeds. The one recording trains, the other is asked: on
 Embree's trees of medium and high quality, on the best tree from area alone and on the best from the
-training queries, both of `bvh-build` with the same budget. All of them take turns in every round,
-on one thread. Then all queries of the recording are asked on Embree's tree and on the planted one,
+training queries, both of `bvh-build` with the same budget and chosen by the same queries. All of
+them take turns in every round, on one thread. Then all queries of the recording are asked on Embree's tree and on the planted one,
 singly and in packets, with the kernels of three instruction sets, default and robust.
 
 What was measured of a scene is kept in a folder, one JSON file for times and one for the answers of
@@ -147,8 +147,8 @@ class Bench:
         """Embree's tree, and ours in the order of TREES."""
         train, built, _ = self.record(scene, name, 1)
         paths = [self.path(name, f"{tree}.bvh") for tree in TREES]
-        for path, rays in zip(paths, ([], ["--rays", train])):
-            self.build(built, path, *rays)
+        for path, control in zip(paths, (["--area-only"], [])):
+            self.build(built, path, "--rays", train, *control)
         return built, paths
 
     def build(self, built, path, *words):
@@ -359,8 +359,8 @@ def several(values):
 TIMES = """Time of Embree's kernels for queries of another seed, relative to its own tree of medium \
 quality: paths of depth {depth}, one thread, medians of {rounds} interleaved rounds of up to \
 {queries:,} queries, {budget} s for each of our trees. *medium, planted*: Embree's own tree in our \
-pages. *area*, the control: `bvh-build built.bvh area.bvh`; *rays*: `bvh-build built.bvh ours.bvh \
---rays casts.rays`. *best*: the better of medium and high. *spread*: between the least and the \
+pages. *area*, the control: `bvh-build built.bvh area.bvh --rays casts.rays --area-only`; *rays*: \
+`bvh-build built.bvh ours.bvh --rays casts.rays`. *best*: the better of medium and high. *spread*: between the least and the \
 greatest round, the largest of a scene
 """
 

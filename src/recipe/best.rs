@@ -15,16 +15,21 @@
 //! 4. the best two of those with insertion, treelets and more rounds;
 //! 5. the best two again and again, from other training queries: which ones a tree is fitted to decides up to 6% of its cost.
 //!
-//! Where triangles may not be cut, a full sweep is all there is, and the input's own tree takes part if it cuts none either.
+//! Where triangles may not be cut, a full sweep is all there is, and the input's own tree takes
+//! part if it cuts none either. Without queries to fit trees to, as for the control
+//! ([`Config::area_only`]), other ways to split and other costs of a side take the place of the
+//! blends, so that there are as many trials.
 //!
-//! What is tried next depends on what was found, never on the clock; the clock only ends it. So more time means more trials, never
-//! others, and the tree that is chosen is never worse on the queries that choose. A trial is begun when one like it would end in time, and
-//! is not cut short.
+//! What is tried next depends on what was found, never on the clock; the clock only ends it. So
+//! more time means more trials, never others. The choice is confirmed by queries that did not make
+//! it, and never becomes worse for the judges (`standing`). A trial is begun when one like it would
+//! end in time, and is not cut short.
 //!
 //! [`build`] is the whole of it for a file and its recording, [`Built`] what is written or planted afterwards.
 
 mod file;
 mod plan;
+mod standing;
 
 pub use file::{Built, build};
 pub use plan::{Level, Plan, Start};
@@ -44,7 +49,9 @@ use crate::training::queries::Query;
 use crate::traverse::OcclusionOrder;
 use crate::tree::statistics::Statistics;
 use crate::tree::{Node, Tree, TreeView};
-use plan::{BLENDS, EARLY, SIDES, SPATIAL};
+use plan::{BLENDS, EARLY, SIDES, SPATIAL, WAYS};
+use standing::{Candidate, Standing};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// How to choose.
@@ -53,7 +60,10 @@ pub struct Config {
     pub shape: Shape,
     /// Time for all of it. The first tree is always finished.
     pub budget: Duration,
-    /// Whether trees from area alone are all that is tried: the control.
+    /// Trials at most. Where they end before the time does, the tree is the same on every machine.
+    pub trials: usize,
+    /// Whether trees from area alone are all that is tried, between which queries only choose: the
+    /// control of what rays bring.
     pub area_only: bool,
     /// Whether triangles may be cut, and stand in several leaves.
     pub cuts: bool,
@@ -143,8 +153,7 @@ pub fn choose(
         confirming: even(&judges.iter().copied().skip(1).step_by(2).collect::<Vec<_>>(), JUDGES),
         share: queries.iter().filter(|query| query.is_occlusion).count() as f64 / queries.len().max(1) as f64,
         trials: Vec::new(),
-        best: None,
-        best_area: None,
+        standing: Standing::default(),
         progress,
     };
     chooser.run()?;
@@ -163,9 +172,7 @@ struct Chooser<'a> {
     /// Of occlusion.
     share: f64,
     trials: Vec<Trial>,
-    /// The cheapest tree, and the cheapest from area alone, with the numbers of their trials.
-    best: Option<(usize, Tree)>,
-    best_area: Option<(usize, Tree)>,
+    standing: Standing,
     progress: &'a Progress,
 }
 
@@ -176,7 +183,7 @@ impl Chooser<'_> {
         let allowed = |splits: &Splits| self.config.cuts || *splits == Splits::Sweep;
         let area = [SPATIAL, Splits::Sweep].into_iter().filter(allowed);
         let mut area = area.map(|splits| quick(Start::built(Heuristic::Sah, splits)));
-        let has_rays = !self.fit.is_empty() && !self.config.area_only;
+        let has_rays = self.has_rays();
         let blends = BLENDS.into_iter().filter(|(_, splits)| has_rays && allowed(splits));
         let mut blends =
             blends.map(|(weight, splits)| quick(Start::built(Heuristic::Blend { weight }, splits)));
@@ -193,19 +200,25 @@ impl Chooser<'_> {
         }
         // The sides of the best start, and the likeliest for the next.
         let mut sides = Vec::new();
-        for (plan, most) in self.cheapest(Level::Quick, 2).into_iter().zip([SIDES.len(), 1]) {
+        let of_next = if has_rays { 1 } else { SIDES.len() };
+        for (plan, most) in self.cheapest(Level::Quick, 2).into_iter().zip([SIDES.len(), of_next]) {
             if let Start::Built(heuristic, splits, ..) = plan.start {
                 let side = |&(count, alpha)| quick(Start::Built(heuristic, splits, count, alpha));
                 sides.extend(SIDES[..most].iter().map(side));
             }
         }
+        if !has_rays {
+            let ways = WAYS.into_iter().filter(allowed);
+            sides.extend(ways.map(|splits| quick(Start::built(Heuristic::Sah, splits))));
+        }
         if !(self.attempt_all(sides)? && self.deepen(Level::Quick, 2)? && self.deepen(Level::Full, 2)?) {
             return Ok(false);
         }
-        let finalists: Vec<Plan> = self.cheapest(Level::Patient, 2);
+        let mut finalists: Vec<Plan> = self.cheapest(Level::Patient, 2);
+        finalists.retain(|plan| self.fits_rays(plan.start));
         for part in 1..MOST_PARTS {
-            for plan in finalists.iter().filter(|plan| plan.start.needs_rays()) {
-                let since = self.best.as_ref().map_or(0, |(winner, _)| self.trials.len() - winner);
+            for plan in &finalists {
+                let since = self.standing.best().map_or(0, |best| self.trials.len() - best);
                 if since > PATIENCE {
                     return Ok(true);
                 }
@@ -215,6 +228,16 @@ impl Chooser<'_> {
             }
         }
         Ok(true)
+    }
+
+    /// Whether trees are fitted to queries.
+    fn has_rays(&self) -> bool {
+        !self.fit.is_empty() && !self.config.area_only
+    }
+
+    /// Whether what comes from `start` is fitted to queries.
+    fn fits_rays(&self, start: Start) -> bool {
+        self.has_rays() && start.needs_rays()
     }
 
     /// Follows plans, as long as there is time; whether there was for all.
@@ -240,7 +263,7 @@ impl Chooser<'_> {
     fn improves_input(&self) -> bool {
         let Statistics { depth, max_children, .. } = Statistics::of(self.input.tree);
         let fits = max_children <= self.config.shape.width && depth <= builder::MAX_DEPTH;
-        fits && !self.config.area_only && (self.config.cuts || !self.input.is_cut)
+        fits && (self.config.cuts || !self.input.is_cut)
     }
 
     /// The plans of a level by cost, the cheapest first.
@@ -271,7 +294,8 @@ impl Chooser<'_> {
     fn attempt(&mut self, plan: Plan) -> Result<bool, RecipeError> {
         let elapsed = self.started.elapsed().as_secs_f64();
         let first = self.trials.is_empty();
-        if !first && elapsed + self.expected(plan.level) > self.config.budget.as_secs_f64() {
+        let late = elapsed + self.expected(plan.level) > self.config.budget.as_secs_f64();
+        if !first && (late || self.trials.len() >= self.config.trials) {
             return Ok(false);
         }
         let begun = Instant::now();
@@ -279,18 +303,24 @@ impl Chooser<'_> {
         let cost = self.cost(&tree);
         let seconds = begun.elapsed().as_secs_f64();
         let number = self.trials.len();
-        let better = |best: &Option<(usize, Tree)>, trials: &[Trial]| {
-            best.as_ref().is_none_or(|(winner, _)| cost < trials[*winner].cost)
-        };
-        if !plan.start.needs_rays() && better(&self.best_area, &self.trials) {
-            self.best_area = Some((number, tree.clone()));
-        }
-        if better(&self.best, &self.trials) {
-            self.best = Some((number, tree));
+        let is_area = !self.fits_rays(plan.start);
+        if self.standing.wants(cost, is_area) {
+            let candidate = self.candidate(number, tree, cost);
+            self.standing.take(candidate, is_area);
         }
         self.trials.push(Trial { plan, cost, seconds });
         self.progress.advance(1);
         Ok(true)
+    }
+
+    /// The tree of a trial that costs the choosing queries `cost`.
+    fn candidate(&self, number: usize, tree: Tree, cost: f64) -> Candidate {
+        let confirmed = self.judged(tree.view(), &OcclusionOrder::First, &self.confirming);
+        let [choosing, confirming] = [&self.choosing, &self.confirming].map(|queries| queries.len() as f64);
+        let total = confirmed
+            .all
+            .map_or(cost, |other| (choosing * cost + confirming * other) / (choosing + confirming));
+        Candidate { number, tree: Arc::new(tree), cost, confirmed, total }
     }
 
     /// Queries of a part: those whose numbers, mixed with the part's, are the least.
@@ -311,8 +341,7 @@ impl Chooser<'_> {
     }
 
     fn follow(&self, plan: &Plan) -> Result<Tree, RecipeError> {
-        let queries =
-            if plan.start.needs_rays() && !self.config.area_only { self.part(plan) } else { Vec::new() };
+        let queries = if self.fits_rays(plan.start) { self.part(plan) } else { Vec::new() };
         let segments: Vec<Ray> = queries.iter().map(|query| query.segment).collect();
         let occlusion = |query: &&Query| {
             query.is_occlusion.then(|| Occlusion {
@@ -348,33 +377,23 @@ impl Chooser<'_> {
         judge(self.scene, tree, order, queries, &self.config.shape.costs)
     }
 
-    /// The cheapest tree, unless the queries that did not choose it like area alone better.
-    fn end(mut self) -> Result<Chosen, RecipeError> {
-        let (best, area) = (self.best.take(), self.best_area.take());
-        let confirmed = |tree: &Tree| self.judged(tree.view(), &OcclusionOrder::First, &self.confirming);
+    /// The tree that stands, and what is to be expected of it.
+    fn end(self) -> Result<Chosen, RecipeError> {
         let before = self.judged(self.input.tree, &self.input.order, &self.confirming);
-        let Some((mut winner, mut tree)) = best else {
-            return Err(RecipeError::NoRays("auto"));
-        };
-        let mut after = confirmed(&tree);
-        let mut of_area = after;
-        if let Some((number, control)) = area {
-            of_area = confirmed(&control);
-            if of_area.all < after.all {
-                (winner, tree, after) = (number, control, of_area);
-            }
-        }
-        let plan = self.trials[winner].plan;
         let judged = !self.choosing.is_empty();
+        let judges = [self.choosing.len(), self.confirming.len()];
+        let (chosen, area) = self.standing.end().ok_or(RecipeError::NoRays("auto"))?;
+        let Candidate { number: winner, tree, confirmed: after, .. } = chosen;
+        let plan = self.trials[winner].plan;
         Ok(Chosen {
-            tree,
+            tree: Arc::unwrap_or_clone(tree),
             plan,
             is_cut: plan.start.is_cut() || (plan.start == Start::Input && self.input.is_cut),
             winner: judged.then_some(winner),
             before,
-            area: of_area,
+            area,
             after,
-            judges: [self.choosing.len(), self.confirming.len()],
+            judges,
             trials: self.trials,
         })
     }

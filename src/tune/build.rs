@@ -115,6 +115,7 @@ impl Building<'_> {
             shape,
             budget: Duration::try_from_secs_f64(self.options.budget.as_secs_f64() * share)
                 .unwrap_or(self.options.budget),
+            trials: usize::MAX,
             area_only: false,
             // A filter that counts what it sees must see a triangle once.
             cuts: self.options.cuts && line.rejects == 0,

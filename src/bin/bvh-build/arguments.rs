@@ -29,7 +29,9 @@ use std::time::Duration;
 Examples:
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays       the best tree for these rays that it finds in 30 s
   bvh-build embBuilt.bvh ours.bvh --rays embCasts.rays --train 0.1 --budget 300   and from a tenth of the pixels, for longer
-  bvh-build embBuilt.bvh ours.bvh                            the best from area alone
+  bvh-build embBuilt.bvh camera.bvh --rays embCasts.rays --filter purpose=camera   the best for camera rays alone
+  bvh-build embBuilt.bvh control.bvh --rays embCasts.rays --area-only   the control: area, with the same effort, judged by the rays
+  bvh-build embBuilt.bvh ours.bvh                            the best from area, without any ray
   bvh-build embBuilt.bvh ours.bvh --splits binned            a binary tree: binned SAH, one triangle a leaf
   bvh-build embBuilt.bvh ours.bvh --splits sweep             every possible cut: slower, better
   bvh-build embBuilt.bvh ours.bvh --splits sweep --alpha 0.88
@@ -95,7 +97,8 @@ pub struct Arguments {
     /// Added to every count of rays (rdh), so that a box without rays still has a cost
     #[arg(long, default_value_t = 0.0, value_name = "RAYS", allow_negative_numbers = true)]
     pub floor: f64,
-    /// Train with these queries only, written as for bvh-compare: purpose=camera+diffuse,depth=1..
+    /// Train with these queries only, and judge by them: a tree for one purpose. Written as for
+    /// bvh-compare: purpose=camera+diffuse,depth=1..
     #[arg(long, default_value = "", hide_default_value = true)]
     pub filter: Filter,
     /// Train with the queries of this share of the pixels; bvh-compare --held-out counts on the others
@@ -118,6 +121,14 @@ pub struct Arguments {
     /// differs from run to run: without it, the same input gives the same tree
     #[arg(long, value_name = "SECONDS", value_parser = cli::seconds, allow_negative_numbers = true)]
     pub budget: Option<Duration>,
+    /// Try trees from surface area alone, as many and for as long, and let the queries only choose
+    /// between them: the control that says what a tree owes to the rays
+    #[arg(long, requires = "rays", conflicts_with_all = ["binary", "update", "mpi"])]
+    pub area_only: bool,
+    /// Try at most N recipes, however much time is left: with time enough, the same tree on every
+    /// machine
+    #[arg(long, value_name = "N", value_parser = trials, conflicts_with_all = ["binary", "update", "mpi"])]
+    pub trials: Option<usize>,
     /// Choose a traversal order for the occlusion queries of every node from the recorded ones, and store it (section ORDR);
     /// says what they cost in every order, on the training queries and on the others
     #[arg(long, requires = "rays")]
@@ -201,6 +212,10 @@ fn factor(text: &str) -> Result<f64, String> {
         Ok(factor) if factor >= 1.0 && factor.is_finite() => Ok(factor),
         _ => Err("expected a number of at least 1".into()),
     }
+}
+
+fn trials(text: &str) -> Result<usize, String> {
+    text.parse().ok().filter(|&number| number > 0).ok_or("expected a number of at least 1".into())
 }
 
 fn share(text: &str) -> Result<f64, String> {

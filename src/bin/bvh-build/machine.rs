@@ -24,7 +24,8 @@ pub fn run(arguments: &Arguments, before: &Bvh, shape: Shape) -> Result<Outcome,
     let config = Config {
         shape,
         budget: arguments.budget.unwrap_or(BUDGET),
-        area_only: false,
+        trials: arguments.trials.unwrap_or(usize::MAX),
+        area_only: arguments.area_only,
         cuts: !arguments.no_splits,
     };
     let progress = Progress::new("trying recipes", best::TRIALS);

@@ -90,6 +90,11 @@ fn run(arguments: &Arguments, ranks: &dyn Ranks) -> Result<Outcome, Failure> {
     if let Some(width) = arguments.best_width(before.tree) {
         return machine::run(arguments, &before, arguments.shape(width)?);
     }
+    if arguments.area_only || arguments.trials.is_some() {
+        return Err(Failure::new(
+            "--area-only and --trials are for the best tree for the machine: leave out what names a recipe, and give a binary input --width 8",
+        ));
+    }
     let training = arguments.training(&before, ranks)?;
     let training_queries = training.segments.all;
     let output = (ranks.rank() == 0).then(|| OutputFile::create(&arguments.output)).transpose()?;

@@ -1,7 +1,7 @@
 //! What was built, as JSON and as a table.
 
 use crate::order::print_order;
-use embree_trace::builder::Config;
+use embree_trace::builder::{Config, spatial};
 use embree_trace::cli::TextOrJson;
 use embree_trace::optimize::Report;
 use embree_trace::tree::TreeView;
@@ -53,7 +53,7 @@ pub fn print(report: &Value, format: TextOrJson) -> std::io::Result<()> {
     }
     let auto = &report["build"]["auto"];
     if auto["plan"].is_object() {
-        print_plans(&mut out, auto)?;
+        print_plans(&mut out, auto, report["build"]["training"]["filter"].as_str().unwrap_or_default())?;
     } else {
         print_trials(&mut out, auto)?;
     }
@@ -81,8 +81,9 @@ pub fn print(report: &Value, format: TextOrJson) -> std::io::Result<()> {
     writeln!(out, "{:<12}{:>10.2}{:>12.2}", "SAH cost", cost("before"), cost("after"))
 }
 
-/// What was tried for the machine: a line for each plan, with what a judging query costs; and what the tree is expected to gain over the input's.
-fn print_plans(out: &mut impl Write, auto: &Value) -> std::io::Result<()> {
+/// What was tried for the machine: a line for each plan, with what a judging query costs; and what
+/// the tree is expected to gain over the input's, for the queries of `filter`.
+fn print_plans(out: &mut impl Write, auto: &Value, filter: &str) -> std::io::Result<()> {
     let trials = auto["trials"].as_array().map(Vec::as_slice).unwrap_or_default();
     let unit = if auto["judges"] == 0 { "a random ray" } else { "a judging query" };
     writeln!(out, "{:<54}{:>18}", format!("{} judging queries", auto["judges"]), format!("ns, {unit}"))?;
@@ -99,6 +100,14 @@ fn print_plans(out: &mut impl Write, auto: &Value) -> std::io::Result<()> {
         if text("count") == "log-n" || plan["alpha"].as_f64().is_some_and(|alpha| alpha != 1.0) {
             name += &format!(", ({})^{:.2}", text("count"), plan["alpha"].as_f64().unwrap_or_default());
         }
+        let [duplication, overlap] = ["max_duplication", "overlap"].map(|key| plan[key].as_f64());
+        let default = spatial::Options::default();
+        if let Some(duplication) = duplication.filter(|&value| value != default.max_duplication) {
+            name += &format!(", duplication {duplication}");
+        }
+        if let Some(overlap) = overlap.filter(|&value| value != default.overlap) {
+            name += &format!(", overlap {overlap}");
+        }
         name += &format!(", {}", text("level"));
         if plan["part"] != 0 {
             name += &format!(" {}", plan["part"]);
@@ -110,7 +119,8 @@ fn print_plans(out: &mut impl Write, auto: &Value) -> std::io::Result<()> {
         return Ok(());
     }
     let cost = &auto["cost"];
-    writeln!(out, "expected of other queries ({} held out), ns each", auto["confirming"])?;
+    let which = if filter.is_empty() { String::new() } else { format!(" with {filter}") };
+    writeln!(out, "expected of other queries{which} ({} held out), ns each", auto["confirming"])?;
     writeln!(out, "{:<14}{:>10}{:>12}{:>12}{:>10}", "", "input", "area alone", "this tree", "ratio")?;
     for (key, name) in [("all", "all"), ("closest_hit", "closest hit"), ("occlusion", "occlusion")] {
         let of = |tree: &str| cost[tree][key].as_f64();

@@ -39,7 +39,7 @@ pub fn build(
     let chosen = choose(scene, Input::of(input), queries, config, progress)?;
     let mut meta = json!({
         "auto": chosen.report(), "width": config.shape.width, "max_leaf": config.shape.max_leaf,
-        "budget": config.budget.as_secs_f64(),
+        "budget": config.budget.as_secs_f64(), "area_only": config.area_only,
     });
     // Where the image's size is known, it stays known.
     scene::inherit(&mut meta, input, &["image"]);

@@ -1,6 +1,6 @@
 //! What can be tried: where a tree comes from, and how much is done with it.
 
-use crate::builder::{Count, Splits, spatial};
+use crate::builder::{Bins, Count, Splits, spatial};
 use crate::optimize::{Stage, insertion, reinsertion, rotations, treelets};
 use crate::recipe::Heuristic;
 use serde_json::{Value, json};
@@ -43,6 +43,15 @@ pub(super) const BLENDS: [(f64, Splits); 7] = [
     (0.8, SPATIAL),
     (0.5, Splits::Sweep),
     (0.95, Splits::Sweep),
+];
+
+/// Other ways to split by area: more and fewer cuts, and bins without any.
+pub(super) const WAYS: [Splits; 5] = [
+    Splits::Spatial(spatial::Options { max_duplication: 1.0, overlap: 1e-3 }),
+    Splits::Spatial(spatial::Options { max_duplication: 0.2, overlap: 1e-5 }),
+    Splits::Spatial(spatial::Options { max_duplication: 3.0, overlap: 1e-6 }),
+    Splits::Spatial(spatial::Options { max_duplication: 1.0, overlap: 1e-2 }),
+    Splits::Binned { bins: Bins::Adaptive },
 ];
 
 /// So many blends come before all else but one tree from area, so that a large scene has a tree from rays even when there is no time for more.
@@ -117,6 +126,9 @@ impl Plan {
                 });
                 if let Heuristic::Blend { weight } = heuristic {
                     meta["weight"] = json!(weight);
+                }
+                if let Splits::Spatial(spatial::Options { max_duplication, overlap }) = splits {
+                    (meta["max_duplication"], meta["overlap"]) = (json!(max_duplication), json!(overlap));
                 }
                 meta
             }
