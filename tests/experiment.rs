@@ -214,6 +214,7 @@ fn pixels_are_parted_as_everywhere() {
                 "--format",
                 "json",
             ])
+            .arg("--no-time")
             .current_dir(here)
             .output()
             .unwrap();
