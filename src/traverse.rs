@@ -138,6 +138,8 @@ pub struct Prepared {
         expect(dead_code, reason = "x86-64 has processors with and without")
     )]
     fused: bool,
+    #[cfg(target_arch = "x86_64")]
+    level: quick::Level,
 }
 
 impl Prepared {
@@ -160,14 +162,17 @@ impl Prepared {
         let root = Link::to(0, below, 0.0);
         let root_bounds = tree.nodes[0].bounds();
         let node_count = tree.nodes.len();
+        let fused = fused();
         Prepared {
+            #[cfg(target_arch = "x86_64")]
+            level: quick::Level::of(&nodes, fused),
             nodes,
             root,
             root_bounds,
             blocks,
             node_count,
             stack_size: stack_size(tree),
-            fused: fused(),
+            fused,
         }
     }
 
@@ -189,7 +194,7 @@ impl Prepared {
         #[cfg(target_arch = "x86_64")]
         if !O::STEPS
             && traversal == Traversal::Odf
-            && let Some(best) = self.quick_closest(ray, candidates, scratch)
+            && let Some(best) = self.quick_nearest::<false>(ray, candidates, scratch)
         {
             return best.hit();
         }
@@ -198,14 +203,21 @@ impl Prepared {
 
     /// Whether anything among `candidates` is hit in (tnear, tfar], and what was found first.
     #[inline]
-    pub fn occluder(
+    pub fn occluder<O: Observer>(
         &self,
         traversal: Traversal,
         ray: &PreparedRay,
         candidates: &impl Candidates,
-        observer: &mut impl Observer,
+        observer: &mut O,
         scratch: &mut Scratch,
     ) -> Option<Hit> {
+        #[cfg(target_arch = "x86_64")]
+        if !O::STEPS
+            && traversal == Traversal::Odf
+            && let Some(best) = self.quick_nearest::<true>(ray, candidates, scratch)
+        {
+            return best.hit();
+        }
         self.query::<true>(traversal, &NearestFirst, ray, candidates, observer, scratch)
     }
 
@@ -219,6 +231,12 @@ impl Prepared {
         observer: &mut O,
         scratch: &mut Scratch,
     ) -> Option<Hit> {
+        #[cfg(target_arch = "x86_64")]
+        if !O::STEPS
+            && let Some(best) = self.quick_occluder(order, ray, candidates, scratch)
+        {
+            return best.hit();
+        }
         macro_rules! run {
             ($order:expr) => {
                 self.query::<true>(Traversal::Odf, &$order, ray, candidates, observer, scratch)
@@ -230,9 +248,9 @@ impl Prepared {
             OcclusionOrder::Farthest => run!(Always::<{ rule::FARTHEST }>),
             OcclusionOrder::Area(areas) => run!(LargerFirst(areas)),
             OcclusionOrder::Outside if O::NODES => run!(OutsideFirst(ray.tnear)),
-            OcclusionOrder::Outside => self.any_hit::<true, O>(ray, candidates, observer, scratch),
+            OcclusionOrder::Outside => self.any_hit::<true>(ray, candidates, observer, scratch),
             OcclusionOrder::First if O::NODES => run!(Always::<{ rule::FIRST }>),
-            OcclusionOrder::First => self.any_hit::<false, O>(ray, candidates, observer, scratch),
+            OcclusionOrder::First => self.any_hit::<false>(ray, candidates, observer, scratch),
             OcclusionOrder::Last => run!(Always::<{ rule::LAST }>),
             OcclusionOrder::Random(seed) => run!(Drawn::new(*seed, ray)),
         }
@@ -240,19 +258,13 @@ impl Prepared {
 
     /// [`Self::occluder_in`] for an observer that does not look at numbers of nodes: in the order of the file, or `OUTSIDE` first.
     #[inline]
-    fn any_hit<const OUTSIDE: bool, O: Observer>(
+    fn any_hit<const OUTSIDE: bool>(
         &self,
         ray: &PreparedRay,
         candidates: &impl Candidates,
-        observer: &mut O,
+        observer: &mut impl Observer,
         scratch: &mut Scratch,
     ) -> Option<Hit> {
-        #[cfg(target_arch = "x86_64")]
-        if !O::STEPS
-            && let Some(best) = self.quick_any::<OUTSIDE>(ray, candidates, scratch)
-        {
-            return best.hit();
-        }
         #[cfg(target_arch = "x86_64")]
         if self.fused {
             // SAFETY: the processor has these features, or `fused` would be false.

@@ -49,7 +49,9 @@ pub struct Blocks {
 pub struct BlockRay {
     origin: [F32x4; 3],
     direction: [F32x4; 3],
-    tnear: F32x4,
+    /// The start of the interval times [`PreparedRay::magnified`].
+    near: F32x4,
+    magnified: F32x4,
 }
 
 impl BlockRay {
@@ -58,16 +60,21 @@ impl BlockRay {
         BlockRay {
             origin: std::array::from_fn(|axis| F32x4::splat(ray.origin[axis])),
             direction: std::array::from_fn(|axis| F32x4::splat(ray.direction[axis])),
-            tnear: F32x4::splat(ray.tnear),
+            near: F32x4::splat(ray.tnear * ray.magnified),
+            magnified: F32x4::splat(ray.magnified),
         }
     }
 }
 
 #[inline(always)]
 fn cross<M: Machine>(a: [F32x4; 3], b: [F32x4; 3]) -> [F32x4; 3] {
-    let minus = F32x4::splat(-0.0);
-    let minor = |a1: F32x4, b2, a2: F32x4, b1| M::mul_add(a1, b2, a2.mul(b1).flip(minus));
+    let minor = |a1: F32x4, b2, a2: F32x4, b1| M::mul_sub(a1, b2, a2.mul(b1));
     [minor(a[1], b[2], a[2], b[1]), minor(a[2], b[0], a[0], b[2]), minor(a[0], b[1], a[1], b[0])]
+}
+
+#[inline(always)]
+fn difference(a: [F32x4; 3], b: [F32x4; 3]) -> [F32x4; 3] {
+    [a[0].sub(b[0]), a[1].sub(b[1]), a[2].sub(b[2])]
 }
 
 #[inline(always)]
@@ -76,9 +83,15 @@ fn dot<M: Machine>(a: [F32x4; 3], b: [F32x4; 3]) -> F32x4 {
 }
 
 impl Block {
+    /// Written out, because what a closure or `map` does is not always compiled for the processor that the caller is compiled for.
     #[inline(always)]
     fn vertices(&self) -> [[F32x4; 3]; 3] {
-        self.vertices.map(|vertex| vertex.map(F32x4::new))
+        let [v0, v1, v2] = &self.vertices;
+        [
+            [F32x4::new(v0[0]), F32x4::new(v0[1]), F32x4::new(v0[2])],
+            [F32x4::new(v1[0]), F32x4::new(v1[1]), F32x4::new(v1[2])],
+            [F32x4::new(v2[0]), F32x4::new(v2[1]), F32x4::new(v2[2])],
+        ]
     }
 
     /// [`PreparedTriangle::intersect`] but for the triangles' boxes, for hits up to `bound`: which lanes pass, as bits, and t times the
@@ -86,9 +99,9 @@ impl Block {
     #[inline(always)]
     fn test<M: Machine>(&self, ray: &BlockRay, bound: f32) -> (u32, F32x4, F32x4) {
         let zero = F32x4::splat(0.0);
-        let difference = |a: [F32x4; 3], b: [F32x4; 3]| std::array::from_fn(|axis| a[axis].sub(b[axis]));
         let [v0, v1, v2] = self.vertices();
-        let (edge1, edge2) = (difference(v0, v1), difference(v2, v0));
+        let edge1 = difference(v0, v1);
+        let edge2 = difference(v2, v0);
         let normal = cross::<M>(edge2, edge1);
         let c = difference(v0, ray.origin);
         let r = cross::<M>(c, ray.direction);
@@ -100,7 +113,8 @@ impl Block {
         let t = dot::<M>(normal, c).flip(sign);
         // A denominator of zero fails one of the last two.
         let inside = zero.le(u).and(zero.le(v)).and(u.add(v).le(den_abs));
-        let within = den_abs.mul(ray.tnear).lt(t).and(t.le(den_abs.mul(F32x4::splat(bound))));
+        let behind_start = den_abs.mul(ray.near).lt(t.mul(ray.magnified));
+        let within = behind_start.and(t.le(den_abs.mul(F32x4::splat(bound))));
         (inside.and(within).bits(), t, den_abs)
     }
 

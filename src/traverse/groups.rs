@@ -5,7 +5,9 @@ use super::form::{Below, Children, Faces, Form, Link, Stack};
 use super::memory;
 use super::ray::PreparedRay;
 use super::simd::{Lanes, Supports};
+use crate::geometry::Vec3;
 use crate::tree::TreeView;
+use glam::Vec4;
 
 /// `N` children: two cache lines for four, four for eight.
 #[derive(Clone, Copy, Debug)]
@@ -25,6 +27,7 @@ pub struct Groups<const N: usize> {
     child: Vec<u32>,
     root: Below,
     is_one_a_node: bool,
+    extent: Vec4,
 }
 
 impl<const N: usize> Groups<N> {
@@ -60,13 +63,23 @@ impl<const N: usize> Groups<N> {
             }
         }
         let is_one_a_node = tree.nodes.iter().all(|node| node.is_leaf() || node.len() <= N);
-        Groups { groups, child, root: below[0], is_one_a_node }
+        let mut extent = Vec3::ZERO;
+        for node in tree.nodes {
+            extent = extent.max(node.bounds().lower.abs()).max(node.bounds().upper.abs());
+        }
+        Groups { groups, child, root: below[0], is_one_a_node, extent: extent.extend(0.0) }
     }
 
     /// Whether no node has more children than a group holds.
     #[inline(always)]
     pub(super) fn is_one_a_node(&self) -> bool {
         self.is_one_a_node
+    }
+
+    /// The greatest face on each axis, whatever its sign, and 0.
+    #[inline(always)]
+    pub(super) fn extent(&self) -> Vec4 {
+        self.extent
     }
 
     /// All groups; what is below an inner node says which is whose.
@@ -151,7 +164,7 @@ impl<M: Supports<N>, const N: usize> Form<M> for Groups<N> {
             origin: std::array::from_fn(|axis| M::Vector::splat(ray.origin[axis])),
             near_inverse: std::array::from_fn(|axis| M::Vector::splat(ray.near_inverse[axis])),
             far_inverse: std::array::from_fn(|axis| M::Vector::splat(ray.far_inverse[axis])),
-            near_face: ray.downwards,
+            near_face: ray.downwards(),
             tnear: M::Vector::splat(ray.tnear),
         }
     }

@@ -134,7 +134,7 @@ impl<M: Machine> Form<M> for Pairs {
             inverse: std::array::from_fn(|axis| {
                 F32x4::splat(ray.near_inverse[axis]).join(F32x4::splat(-ray.far_inverse[axis]))
             }),
-            near_face: ray.downwards,
+            near_face: ray.downwards(),
             tnear: ray.tnear,
         }
     }

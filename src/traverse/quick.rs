@@ -1,217 +1,250 @@
-//! Queries that nobody watches, depth first over trees of up to eight children a node, at the speed of an x86-64 with AVX2 and FMA.
+//! Queries that nobody watches, depth first over trees of up to eight children a node, at the speed of an x86-64 with AVX2 and FMA, or with AVX-512.
 //!
 //! The answers are those of every other traversal. The way there is not, box for box: boxes are tested with fewer roundings, whose error is
 //! allowed for ([`slabs`]), so that now and then one is opened that a ray only nearly meets. That is why counts are not made here.
 //!
-//! Where a query waits for memory, children are asked for as soon as they are known to be met; where it waits for the outcome of a
-//! test, little is left between the mask of a test and the address of the next node: no child is compared with others while it is alone, and a lone
-//! child never goes over the stack. (Compressing all that are met onto the stack with AVX-512, whatever their number, takes no branch, but longer.)
+//! Where a query waits for memory, children are asked for before they are needed; where it waits for the outcome of a
+//! test, little is left between the mask of a test and the address of the next node. How the children that are met come into order is what
+//! the two levels differ in: [`avx2`] compares them one by one, [`avx512`] sorts all of them at once and puts them onto the stack without a branch.
 
+mod avx2;
+mod avx512;
 mod slabs;
 
-use super::blocks::{BlockRay, Blocks};
 use super::candidates::Candidates;
-use super::form::{Below, Link};
-use super::groups::Group;
-use super::leaf::{self, Best};
+use super::child_order::OcclusionOrder;
+use super::form::Below;
+use super::groups::{Group, Groups};
+use super::leaf::Best;
 use super::ray::PreparedRay;
-use super::simd::{Avx2, prefetch};
-use super::{Nodes, Prepared, Scratch};
-use slabs::SlabRay;
+use super::simd::prefetch;
+use super::{Nodes, Prepared, Scratch, blocks::Blocks};
 
-/// A subtree, and where the ray enters its box.
-#[derive(Clone, Copy, Debug)]
-#[repr(C, align(16))]
-struct Entry {
-    below: Below,
-    entry: f32,
+/// What a processor and a tree allow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Level {
+    /// The tree, or the processor, has to be followed otherwise.
+    None,
+    Avx2,
+    Avx512,
+}
+
+impl Level {
+    /// Of a tree in this form; `fused` says that the processor has AVX2 and what came with it.
+    pub fn of(nodes: &Nodes, fused: bool) -> Level {
+        let fits = matches!(nodes, Nodes::Eights(groups) if groups.is_one_a_node());
+        let avx512 = is_x86_feature_detected!("avx512f")
+            && is_x86_feature_detected!("avx512vl")
+            && is_x86_feature_detected!("avx512dq")
+            && is_x86_feature_detected!("avx512bw");
+        match (fits && fused, avx512) {
+            (false, _) => Level::None,
+            (true, false) => Level::Avx2,
+            (true, true) => Level::Avx512,
+        }
+    }
+}
+
+/// In which order children that are met are followed to any hit, where none are compared.
+pub(super) mod order {
+    /// That of the file.
+    pub const FIRST: u8 = 0;
+    /// The reverse.
+    pub const LAST: u8 = 1;
+    /// That of the file, those that the ray enters after its start before the others.
+    pub const OUTSIDE: u8 = 2;
 }
 
 /// Room for what waits, kept from query to query.
 #[derive(Debug, Default)]
-pub(super) struct Room(Vec<Entry>);
+pub(super) struct Room {
+    /// Where to go on.
+    below: Vec<Below>,
+    /// Where the ray enters each, as an integer of the same bits; its last three bits may say something else.
+    entry: Vec<i32>,
+}
+
+impl Room {
+    /// Most that is written at once.
+    const AT_ONCE: usize = 8;
+
+    /// Two stacks for `capacity` entries, on whose end as many more may be written as are written at once.
+    #[inline(always)]
+    fn stacks(&mut self, capacity: usize) -> (&mut [Below], &mut [i32]) {
+        let needed = capacity + Room::AT_ONCE;
+        if self.below.len() < needed {
+            self.below.resize(needed, Below::NOTHING);
+            self.entry.resize(needed, 0);
+        }
+        (&mut self.below, &mut self.entry)
+    }
+}
 
 impl Prepared {
-    /// The closest hit; None where the processor, the tree or the ray has to be followed otherwise.
+    /// The closest hit, or with `ANY` the first that is found with the nearest child first; None where the processor, the tree or the ray has to be
+    /// followed otherwise.
     #[inline]
-    pub(super) fn quick_closest(
+    pub(super) fn quick_nearest<const ANY: bool>(
         &self,
         ray: &PreparedRay,
         candidates: &impl Candidates,
         scratch: &mut Scratch,
     ) -> Option<Best> {
-        let scene = Scene::new(self)?;
-        // SAFETY: there is a scene only where the processor has what it takes.
-        unsafe { scene.closest(ray, candidates, &mut scratch.quick) }
+        match self.level {
+            Level::None => None,
+            // SAFETY: the level says that the processor has these features.
+            Level::Avx2 => unsafe { avx2::nearest::<ANY>(self, ray, candidates, &mut scratch.quick) },
+            // SAFETY: as above.
+            Level::Avx512 => unsafe { avx512::nearest::<ANY>(self, ray, candidates, &mut scratch.quick) },
+        }
     }
 
-    /// Any hit, as [`super::any_hit`] looks for it; None as above.
+    /// Any hit, with children in `order`; None as above, and where an order compares children.
     #[inline]
-    pub(super) fn quick_any<const OUTSIDE: bool>(
+    pub(super) fn quick_occluder(
+        &self,
+        order: &OcclusionOrder,
+        ray: &PreparedRay,
+        candidates: &impl Candidates,
+        scratch: &mut Scratch,
+    ) -> Option<Best> {
+        match order {
+            OcclusionOrder::Nearest => self.quick_nearest::<true>(ray, candidates, scratch),
+            OcclusionOrder::First => self.quick_any::<{ order::FIRST }>(ray, candidates, scratch),
+            OcclusionOrder::Last => self.quick_any::<{ order::LAST }>(ray, candidates, scratch),
+            OcclusionOrder::Outside => self.quick_any::<{ order::OUTSIDE }>(ray, candidates, scratch),
+            _ => None,
+        }
+    }
+
+    /// Any hit, with children in an `ORDER` of [`order`]; None as above.
+    #[inline]
+    fn quick_any<const ORDER: u8>(
         &self,
         ray: &PreparedRay,
         candidates: &impl Candidates,
         scratch: &mut Scratch,
     ) -> Option<Best> {
-        let scene = Scene::new(self)?;
-        // SAFETY: as above.
-        unsafe { scene.any::<OUTSIDE>(ray, candidates, scratch.waiting.room(self.stack_size)) }
+        match self.level {
+            Level::None => None,
+            // SAFETY: the level says that the processor has these features.
+            Level::Avx2 => unsafe { avx2::any::<ORDER>(self, ray, candidates, &mut scratch.quick) },
+            // SAFETY: as above.
+            Level::Avx512 => unsafe { avx512::any::<ORDER>(self, ray, candidates, &mut scratch.quick) },
+        }
     }
 }
 
-/// A tree that can be followed so. The root's box is not tested: it has the same children, and rays mostly meet it.
-#[derive(Clone, Copy, Debug)]
-struct Scene<'a> {
-    groups: &'a [Group<8>],
-    root: Below,
-    blocks: &'a Blocks,
-    /// Most entries that can wait on a stack.
-    stack_size: usize,
+/// Asks for what is below a child.
+#[inline(always)]
+fn fetch(groups: &Groups<8>, blocks: &Blocks, below: Below) {
+    let leaf = blocks.address(below.first as usize);
+    let inner: *const Group<8> = groups.all().as_ptr().wrapping_add(below.first as usize);
+    prefetch(if below.is_leaf() { leaf } else { inner.cast() });
 }
 
-impl<'a> Scene<'a> {
-    /// None where a node has more children than a group holds, or the processor lacks something.
-    #[inline(always)]
-    fn new(prepared: &'a Prepared) -> Option<Scene<'a>> {
-        let Nodes::Eights(groups) = &prepared.nodes else { return None };
-        let able = prepared.fused && groups.is_one_a_node();
-        let (blocks, stack_size) = (&prepared.blocks, prepared.stack_size);
-        able.then(|| Scene { groups: groups.all(), root: groups.root(), blocks, stack_size })
-    }
+#[cfg(test)]
+mod tests {
+    use super::super::{All, OcclusionOrder, Prepared, PreparedRay, Scratch, Traversal};
+    use super::Level;
+    use crate::geometry::{Ray, Triangle, Vec3};
+    use crate::random::Random;
+    use crate::tree::{Node, Tree};
 
-    #[inline(always)]
-    fn fetch(self, below: Below) {
-        let leaf = self.blocks.address(below.first as usize);
-        let inner = self.groups.as_ptr().wrapping_add(below.first as usize).cast();
-        prefetch(if below.is_leaf() { leaf } else { inner });
-    }
-
-    /// The closest hit; None for rays that [`SlabRay`] is not made for.
-    #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-    #[inline(never)] // It needs all registers, and gets them only on its own.
-    fn closest(self, ray: &PreparedRay, candidates: &impl Candidates, room: &mut Room) -> Option<Best> {
-        let slabs = SlabRay::new(ray)?;
-        if room.0.len() < self.stack_size {
-            room.0.resize(self.stack_size, Entry { below: Below::NOTHING, entry: 0.0 });
+    /// A tree of up to eight children a node over triangles as they come, one to nine a leaf.
+    fn tree(triangles: &[Triangle]) -> Tree {
+        let mut leaves = Vec::new();
+        let mut first = 0;
+        while first < triangles.len() {
+            let size = (1 + leaves.len() * 5 % 9).min(triangles.len() - first);
+            let bounds = triangles[first..first + size].iter().map(Triangle::bounds);
+            let bounds = bounds.reduce(|a, b| a.union(&b)).unwrap();
+            leaves.push(Node::leaf(bounds, first as u32, size as u32));
+            first += size;
         }
-        let (stack, mut top) = (&mut room.0[..], 0);
-        let block_ray = BlockRay::new(ray);
-        let mut best = Best::end_of(ray);
-        let mut current = Entry { below: self.root, entry: ray.tnear };
-        loop {
-            if current.below.is_leaf() {
-                let leaf = Link::to(0, current.below, current.entry);
-                leaf::test::<false, Avx2>(
-                    &leaf,
-                    self.blocks,
-                    ray,
-                    &block_ray,
-                    candidates,
-                    &mut (),
-                    &mut best,
-                );
-            } else {
-                let group = &self.groups[current.below.first as usize];
-                let met = slabs.test(group, best.t);
-                let mut mask = met.mask();
-                if mask != 0 {
-                    let entries = met.entries();
-                    let mut next = || {
-                        let lane = mask.trailing_zeros() as usize % 8;
-                        mask &= mask - 1;
-                        self.fetch(group.below[lane]);
-                        (Entry { below: group.below[lane], entry: entries[lane] }, mask != 0)
-                    };
-                    let (first, more) = next();
-                    if !more {
-                        current = first;
-                        continue;
-                    }
-                    let (second, mut more) = next();
-                    let (mut nearest, farther) =
-                        if second.entry < first.entry { (second, first) } else { (first, second) };
-                    let before = top;
-                    stack[top] = farther;
-                    top += 1;
-                    // Few have more than two: insertion keeps the farthest at the bottom.
-                    while more {
-                        let mut other;
-                        (other, more) = next();
-                        if other.entry < nearest.entry {
-                            std::mem::swap(&mut other, &mut nearest);
-                        }
-                        let mut place = top;
-                        while place > before && stack[place - 1].entry <= other.entry {
-                            stack[place] = stack[place - 1];
-                            place -= 1;
-                        }
-                        stack[place] = other;
-                        top += 1;
-                    }
-                    current = nearest;
-                    continue;
-                }
-            }
-            loop {
-                if top == 0 {
-                    return Some(best);
-                }
-                top -= 1;
-                current = stack[top];
-                if current.entry <= best.t {
-                    break;
-                }
-            }
+        let groups: Vec<&[Node]> = leaves.chunks(7).collect();
+        let parts: Vec<&[&[Node]]> = groups.chunks(8).collect();
+        let bounds = |nodes: &[Node]| nodes.iter().map(Node::bounds).reduce(|a, b| a.union(&b)).unwrap();
+        let within = |part: &[&[Node]]| part.iter().map(|g| bounds(g)).reduce(|a, b| a.union(&b)).unwrap();
+        let mut nodes = vec![Node::inner(bounds(&leaves), 1, parts.len() as u32)];
+        let mut next = 1 + parts.len();
+        for part in &parts {
+            nodes.push(Node::inner(within(part), next as u32, part.len() as u32));
+            next += part.len();
         }
+        for group in &groups {
+            nodes.push(Node::inner(bounds(group), next as u32, group.len() as u32));
+            next += group.len();
+        }
+        nodes.extend(leaves.iter().copied());
+        Tree { nodes, primitives: (0..triangles.len() as u32).collect() }
     }
 
-    /// Any hit; None as above. Of a node's children, the first of the file first; with `OUTSIDE`, those that the ray
-    /// enters after its start before the others. `stack` has room for as many entries as can wait.
-    #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-    #[inline(never)] // As above.
-    fn any<const OUTSIDE: bool>(
-        self,
-        ray: &PreparedRay,
-        candidates: &impl Candidates,
-        stack: &mut [Below],
-    ) -> Option<Best> {
-        let slabs = SlabRay::new(ray)?;
-        let block_ray = BlockRay::new(ray);
-        let mut best = Best::end_of(ray);
-        let (mut current, mut top) = (self.root, 0);
-        loop {
-            if current.is_leaf() {
-                let leaf = Link::to(0, current, f32::NEG_INFINITY);
-                if leaf::test::<true, Avx2>(
-                    &leaf,
-                    self.blocks,
-                    ray,
-                    &block_ray,
-                    candidates,
-                    &mut (),
-                    &mut best,
-                ) {
-                    return Some(best);
-                }
-            } else {
-                let group = &self.groups[current.first as usize];
-                let met = slabs.test(group, ray.tfar);
-                let mask = met.mask();
-                if mask != 0 {
-                    if mask & (mask - 1) == 0 {
-                        current = group.below[mask.trailing_zeros() as usize % 8];
-                        continue;
-                    }
-                    let outside = if OUTSIDE { mask & slabs.entered_later(&met) } else { mask };
-                    top = group.push(mask & !outside, stack, top);
-                    top = group.push(outside, stack, top);
-                }
+    #[test]
+    fn every_level_gives_the_same_answers() {
+        let random = &mut Random::new(3);
+        let mut vector = |scale: f64| Vec3::from_array([0; 3].map(|_| (scale * random.signed()) as f32));
+        let triangles: Vec<Triangle> = (0..900)
+            .map(|_| {
+                let at = vector(10.0);
+                Triangle([at, at + vector(3.0), at + vector(3.0)])
+            })
+            .collect();
+        let tree = tree(&triangles);
+        let mut prepared = Prepared::new(tree.view(), &triangles, &[]);
+        let best = prepared.level;
+        let levels: &[Level] = match best {
+            Level::None => &[],
+            Level::Avx2 => &[Level::Avx2],
+            Level::Avx512 => &[Level::Avx2, Level::Avx512],
+        };
+        let rays: Vec<PreparedRay> = (0..3000)
+            .map(|number| {
+                let origin = vector(14.0);
+                let direction = vector(10.0) - origin;
+                let tnear = [0.0, f32::MIN_POSITIVE, 0.4, -0.5][number % 4];
+                let tfar = [f32::INFINITY, 0.6, 1.0][number % 3];
+                // Some run parallel to an axis, which the quick ways leave to others.
+                let direction = if number % 50 == 0 { direction * Vec3::X } else { direction };
+                PreparedRay::new(&Ray { origin, tnear, direction, tfar })
+            })
+            .collect();
+        let orders =
+            [OcclusionOrder::Nearest, OcclusionOrder::First, OcclusionOrder::Last, OcclusionOrder::Outside];
+        let mut answers = |level: Level| {
+            prepared.level = level;
+            let mut scratch = Scratch::default();
+            let mut hits = Vec::new();
+            for ray in &rays {
+                let closest = prepared.closest_hit(Traversal::Odf, ray, &All, &mut (), &mut scratch);
+                let occluded: Vec<bool> = orders
+                    .iter()
+                    .map(|order| prepared.occluder_in(order, ray, &All, &mut (), &mut scratch).is_some())
+                    .collect();
+                assert_eq!(occluded, [closest.is_some(); 4], "{level:?} {ray:?}");
+                hits.push(closest.map(|hit| (hit.t.to_bits(), hit.triangle)));
             }
-            if top == 0 {
-                return Some(best);
-            }
-            top -= 1;
-            current = stack[top];
+            hits
+        };
+        let plain = answers(Level::None);
+        // Brute force agrees.
+        for (ray, found) in rays.iter().zip(&plain) {
+            let of = |index: usize| {
+                let triangle = super::super::PreparedTriangle {
+                    vertices: triangles[index],
+                    index: index as u32,
+                    mask: !0,
+                    instance_mask: !0,
+                };
+                triangle.intersect(ray).map(|t| (t, index as u32))
+            };
+            let nearest = (0..triangles.len()).filter_map(of).min_by(|a, b| a.0.total_cmp(&b.0));
+            assert_eq!(nearest.map(|(t, index)| (t.to_bits(), index)), *found, "{ray:?}");
+        }
+        let hits = plain.iter().flatten().count();
+        assert!((500..2900).contains(&hits), "{hits} of 3000 hit");
+        for &level in levels {
+            assert_eq!(answers(level), plain, "{level:?}");
         }
     }
 }

@@ -6,6 +6,8 @@
 //! bit for bit. That is what makes counts independent of a tree's layout.
 
 use crate::geometry::{Aabb, Ray, Vec3};
+use bytemuck::{Pod, Zeroable};
+use glam::Vec4;
 
 /// Relative enlargement of far distances: a near distance has at most 3 roundings (difference, inverse, product), a far
 /// one 4 (its padded inverse is rounded too), so 7 × 2⁻²⁴ is needed and 8 × 2⁻²⁴ given.
@@ -24,49 +26,59 @@ pub(crate) const INVERTIBLE: std::ops::RangeInclusive<f32> = 1e-30..=1e30;
 ///   boxes than they need and lose no hit.
 /// - A ray that cannot hit anything (non-finite origin or direction, NaN or empty interval) has an interval that
 ///   fails every test.
-#[derive(Clone, Copy, Debug)]
+///
+/// Vectors and numbers stand side by side, so that whoever reads four at once finds them written at once: a processor waits for what was
+/// written in smaller parts.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C, align(16))]
 pub struct PreparedRay {
     pub origin: Vec3,
-    pub direction: Vec3,
-    /// Start and end of the interval, both finite, start ≤ end; (+inf, -inf) for a ray that cannot hit anything.
+    /// Start of the interval, finite and at most its end; +inf for a ray that cannot hit anything.
     pub tnear: f32,
+    pub direction: Vec3,
+    /// End of the interval, finite; -inf for a ray that cannot hit anything.
     pub tfar: f32,
     /// 1 / direction, for distances to near faces.
     pub(crate) near_inverse: Vec3,
+    /// 1, or 2⁶⁴ where `tnear` is so small that its product with a triangle's denominator has no normal number: there the test of
+    /// triangles compares both sides times this. A processor takes longer for one denormal number than for a triangle.
+    pub(crate) magnified: f32,
     /// 1 / direction, padded, for distances to far faces.
     pub(crate) far_inverse: Vec3,
-    /// Per axis: 1 when the ray runs downwards, so that a box's upper face is the near one.
-    pub(crate) downwards: [usize; 3],
+    pub(crate) unused: f32,
 }
+
+/// [`PreparedRay::magnified`] of starts below [`MAGNIFIED_BELOW`].
+pub(crate) const MAGNIFIER: f32 = (1u64 << 32) as f32 * (1u64 << 32) as f32;
+pub(crate) const MAGNIFIED_BELOW: f32 = 1e-18;
 
 impl PreparedRay {
     #[inline]
     pub fn new(ray: &Ray) -> PreparedRay {
-        let able = ray.origin.is_finite() && ray.direction.is_finite() && ray.tnear <= ray.tfar;
+        let [origin, direction]: [Vec4; 2] = bytemuck::cast(*ray);
+        let finite = (origin.is_finite_mask() & direction.is_finite_mask()).bitmask() & 0b111 == 0b111;
         // A hit has a finite t; with an infinite end, boxes beside an axis-parallel ray (at distance +inf) would pass.
-        let (tnear, tfar) = if able {
+        let (tnear, tfar) = if finite && ray.tnear <= ray.tfar {
             (ray.tnear.max(f32::MIN), ray.tfar.min(f32::MAX))
         } else {
             (f32::INFINITY, f32::NEG_INFINITY)
         };
-        let axis = |component: f32| {
-            if tnear < 0.0 || !(component == 0.0 || INVERTIBLE.contains(&component.abs())) {
-                f32::NAN
-            } else {
-                1.0 / component
-            }
-        };
-        let d = ray.direction;
-        let near_inverse = Vec3::new(axis(d.x), axis(d.y), axis(d.z));
-        PreparedRay {
-            origin: ray.origin,
-            direction: ray.direction,
-            tnear,
-            tfar,
-            near_inverse,
-            far_inverse: near_inverse * (1.0 + PADDING),
-            downwards: near_inverse.to_array().map(|inverse| (inverse < 0.0) as usize),
-        }
+        let magnitude = direction.abs();
+        let (least, most) = (Vec4::splat(*INVERTIBLE.start()), Vec4::splat(*INVERTIBLE.end()));
+        let invertible = magnitude.cmpge(least) & magnitude.cmple(most) | magnitude.cmpeq(Vec4::ZERO);
+        let none = Vec4::splat(f32::NAN);
+        // The fourth number is no part of the direction, and its inverse might be denormal.
+        let inverse = Vec4::select(invertible, Vec4::ONE / direction.with_w(1.0), none);
+        let inverse = if tnear < 0.0 { none } else { inverse };
+        let magnified = if tnear.abs() < MAGNIFIED_BELOW { MAGNIFIER } else { 1.0 };
+        let (near, far) = (inverse.with_w(magnified), inverse.with_w(0.0) * (1.0 + PADDING));
+        bytemuck::cast([origin.with_w(tnear), direction.with_w(tfar), near, far])
+    }
+
+    /// Per axis: 1 when the ray runs downwards, so that a box's upper face is the near one.
+    #[inline(always)]
+    pub(crate) fn downwards(&self) -> [usize; 3] {
+        self.near_inverse.to_array().map(|inverse| usize::from(inverse < 0.0))
     }
 
     /// Where the ray enters `bounds`, if it does within [tnear, `tfar`]; tnear when it starts inside.
@@ -76,9 +88,10 @@ impl PreparedRay {
     pub fn entry(&self, bounds: &Aabb, tfar: f32) -> Option<f32> {
         let faces = [bounds.lower.to_array(), bounds.upper.to_array()];
         let (mut entry, mut exit) = (self.tnear, tfar);
+        let downwards = self.downwards();
         for axis in 0..3 {
-            let near = faces[self.downwards[axis]][axis];
-            let far = faces[1 - self.downwards[axis]][axis];
+            let near = faces[downwards[axis]][axis];
+            let far = faces[1 - downwards[axis]][axis];
             let near = (near - self.origin[axis]) * self.near_inverse[axis];
             let far = (far - self.origin[axis]) * self.far_inverse[axis];
             // Written so that NaN changes nothing, as MAXPS and MINPS do with the running value as second operand.

@@ -72,6 +72,12 @@ pub trait Machine: Copy {
 
     /// a · b + c, rounded once.
     fn mul_add(a: F32x4, b: F32x4, c: F32x4) -> F32x4;
+
+    /// a · b - c, rounded once.
+    #[inline(always)]
+    fn mul_sub(a: F32x4, b: F32x4, c: F32x4) -> F32x4 {
+        Self::mul_add(a, b, c.flip(F32x4::splat(-0.0)))
+    }
 }
 
 /// Any processor. Where it has no fused multiply-add, a library function gives the same bits, slowly.
@@ -101,6 +107,12 @@ impl Machine for Avx2 {
     fn mul_add(a: F32x4, b: F32x4, c: F32x4) -> F32x4 {
         // SAFETY: this machine has FMA.
         unsafe { a.fused(b, c) }
+    }
+
+    #[inline(always)]
+    fn mul_sub(a: F32x4, b: F32x4, c: F32x4) -> F32x4 {
+        // SAFETY: this machine has FMA.
+        unsafe { a.fused_less(b, c) }
     }
 }
 

@@ -67,7 +67,8 @@ impl PreparedTriangle {
             return None;
         }
         let t = flip(dot(normal, c));
-        if !((den_abs * ray.tnear < t) & (t <= den_abs * ray.tfar)) {
+        let behind_start = den_abs * (ray.tnear * ray.magnified) < t * ray.magnified;
+        if !(behind_start & (t <= den_abs * ray.tfar)) {
             return None;
         }
         self.confirm(ray, t / den_abs)

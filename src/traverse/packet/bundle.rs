@@ -7,7 +7,7 @@ use super::super::Hit;
 use super::super::form::Faces;
 use super::super::leaf::Best;
 use super::super::ray::PreparedRay;
-use super::super::ray::{INVERTIBLE, PADDING};
+use super::super::ray::{INVERTIBLE, MAGNIFIED_BELOW, MAGNIFIER, PADDING};
 use super::super::simd::{Eight, Halves, LaneMask};
 use super::descend::next;
 use super::frustum::Frustum;
@@ -29,6 +29,9 @@ pub(super) struct Octet {
     pub far_inverse: [[f32; LANES]; 3],
     direction: [[f32; LANES]; 3],
     pub tnear: [f32; LANES],
+    /// See [`PreparedRay::magnified`], and `tnear` times that.
+    magnified: [f32; LANES],
+    near: [f32; LANES],
     pub tfar: [f32; LANES],
     /// Boxes entered behind this need not be visited: the best hit so far, or `tfar`; -inf for a ray that needs no more answer.
     end: [f32; LANES],
@@ -45,6 +48,8 @@ impl Octet {
         far_inverse: [[1.0; LANES]; 3],
         direction: [[0.0; LANES]; 3],
         tnear: [f32::INFINITY; LANES],
+        magnified: [1.0; LANES],
+        near: [f32::INFINITY; LANES],
         tfar: [f32::NEG_INFINITY; LANES],
         end: [f32::NEG_INFINITY; LANES],
         bound: [f32::NEG_INFINITY; LANES],
@@ -81,6 +86,10 @@ impl Octet {
             inverse.store(&mut self.near_inverse[axis]);
             inverse.mul(V::splat(1.0 + PADDING)).store(&mut self.far_inverse[axis]);
         }
+        let small = absolute(tnear).lt(V::splat(MAGNIFIED_BELOW));
+        let magnified = V::select(small, V::splat(MAGNIFIER), V::splat(1.0));
+        magnified.store(&mut self.magnified);
+        tnear.mul(magnified).store(&mut self.near);
         tnear.store(&mut self.tnear);
         [&mut self.tfar, &mut self.end, &mut self.bound].into_iter().for_each(|end| tfar.store(end));
         self.triangle = [NO_TRIANGLE; LANES];
@@ -97,6 +106,7 @@ impl Octet {
             self.direction[axis][lane] = other.direction[axis][from];
         }
         self.tnear[lane] = other.tnear[from];
+        (self.magnified[lane], self.near[lane]) = (other.magnified[from], other.near[from]);
         self.tfar[lane] = other.tfar[from];
         self.answer_as(lane, other, from);
     }
@@ -138,7 +148,8 @@ impl Octet {
         let t = dot(triangle.normal, c).flip(sign);
         // A denominator of zero fails one of the last two.
         let inside = zero.le(u).and(zero.le(v)).and(u.add(v).le(den_abs));
-        let within = den_abs.mul(V::load(&self.tnear)).lt(t).and(t.le(den_abs.mul(V::load(&self.bound))));
+        let behind_start = den_abs.mul(V::load(&self.near)).lt(t.mul(V::load(&self.magnified)));
+        let within = behind_start.and(t.le(den_abs.mul(V::load(&self.bound))));
         let mask = inside.and(within).bits();
         if mask == 0 {
             return (0, [0.0; LANES]);
@@ -167,7 +178,7 @@ impl Octet {
 
     /// A ray on its own.
     #[inline(always)]
-    pub fn ray(&self, lane: usize, near_face: &[usize; 3]) -> PreparedRay {
+    pub fn ray(&self, lane: usize) -> PreparedRay {
         let vector = |rows: &[[f32; LANES]; 3]| Vec3::new(rows[0][lane], rows[1][lane], rows[2][lane]);
         PreparedRay {
             origin: vector(&self.origin),
@@ -175,8 +186,9 @@ impl Octet {
             tnear: self.tnear[lane],
             tfar: self.tfar[lane],
             near_inverse: vector(&self.near_inverse),
+            magnified: self.magnified[lane],
             far_inverse: vector(&self.far_inverse),
-            downwards: *near_face,
+            unused: 0.0,
         }
     }
 

@@ -169,7 +169,7 @@ impl<C: Candidates, O: PacketObserver> Walk<'_, C, O> {
                 let query = bundle.queries[octet * LANES + lane];
                 let candidates = &self.candidates[query as usize];
                 let rays = &mut bundle.octets[octet];
-                let (ray, before) = (rays.ray(lane, &bundle.near_face), rays.best(lane));
+                let (ray, before) = (rays.ray(lane), rays.best(lane));
                 let best = if O::LISTENS {
                     let counts = &mut Counts::default();
                     let best = self

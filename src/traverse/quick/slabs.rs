@@ -1,20 +1,23 @@
 //! Eight boxes against one ray with one rounding a face: face · scale + shift, where [`PreparedRay::entry`] has (face - origin) · inverse.
 //!
 //! A near distance is never greater than that one's, and a far distance never less, so a box that is overlapped there is overlapped here,
-//! and is entered no later. With u = 2⁻²⁴, i the inverse, o the origin and D = (face - o) i without rounding:
+//! and is entered no later. With u = 2⁻²⁴, i the inverse, o the origin, f a face, F the greatest face of the tree on that axis, S = (F + |o|) |i|,
+//! and D = (f - o) i without rounding:
 //!
-//! - There, near = D (1 + a)(1 + b) with |a|, |b| ≤ u. Here scale = i (1 - 4 u) and shift = -o scale - pad, each rounded. The shift's roundings err by
-//!   less than 2 u |o scale|, and the pad is twice that; the scale's by u; the last by u. Where D > 0, near ≤ D (1 - 4 u + u)(1 + u) < D (1 - u)². Where D ≤ 0, near
-//!   is not above 0, and neither distance counts: tnear is not below 0.
-//! - Far distances the other way round, on top of the padding that they have there.
-//! - Below the least normal number errors are absolute, and less than the least normal number, which is part of the pad.
+//! - There, a near distance is D (1 + a)(1 + b) with |a|, |b| ≤ u, so it is off by less than 2.1 u S; a far one is greater by 8 u, and
+//!   has two roundings more, so it is less than D + 12.1 u S.
+//! - Here, scale = i and shift = -(o i) ∓ pad. The product is off by u S at most, the shift by u (S + pad), the sum by u (S + pad): together by
+//!   less than 4 u S. So 16.1 u S would do as a pad on either side, and 24 u S are given: what S itself lost in rounding is far less than the rest.
+//! - Below the least normal number errors are absolute, and less than the least normal number, four of which are part of the pad.
+//!
+//! One scale for both faces, and shifts that hold what is allowed for, leave registers for the triangles.
 //!
 //! Distances that are not negative compare like the integers of the same bits, which takes a quarter of the time. Negative ones lose against
 //! tnear among the near, and miss among the far, whichever of them is taken.
 
 use super::super::groups::Group;
 use super::super::ray::PreparedRay;
-use crate::geometry::Vec3;
+use glam::Vec4;
 use std::arch::x86_64::*;
 
 /// 2⁻²⁴: the relative error of one rounding.
@@ -27,45 +30,45 @@ const AXIS: usize = 2 * SIDE;
 /// A ray as groups are tested against it.
 #[derive(Clone, Copy, Debug)]
 pub struct SlabRay {
-    near_scale: [__m256; 3],
+    scale: [__m256; 3],
     near_shift: [__m256; 3],
-    far_scale: [__m256; 3],
     far_shift: [__m256; 3],
     /// Where in a group the near faces of each axis are, in bytes: below 3 * [`AXIS`].
     near: [usize; 3],
     tnear: __m256i,
 }
 
-/// What a test found.
+/// What a test found: a box is overlapped where it is left no earlier than entered.
 #[derive(Clone, Copy, Debug)]
 pub struct Met {
-    entry: __m256i,
-    missed: __m256i,
+    pub entry: __m256i,
+    pub exit: __m256i,
 }
 
 impl SlabRay {
-    /// None for rays that start before 0, run parallel to an axis, or whose numbers are too large.
+    /// None for rays that start before 0, run parallel to an axis, or whose numbers are too large. `extent` is the greatest face of the
+    /// tree on each axis, whatever its sign; its fourth number is 0.
     #[target_feature(enable = "avx2,fma")]
     #[inline]
-    pub fn new(ray: &PreparedRay) -> Option<SlabRay> {
-        let near_scale = ray.near_inverse * (1.0 - 4.0 * UNIT);
-        let far_scale = ray.far_inverse * (1.0 + 4.0 * UNIT);
-        let far_origin = ray.origin * far_scale;
-        let pad = far_origin.abs() * (4.0 * UNIT) + f32::MIN_POSITIVE;
-        let near_shift = -(ray.origin * near_scale) - pad;
-        let far_shift = pad - far_origin;
-        if !(ray.tnear >= 0.0 && far_scale.is_finite() && far_shift.is_finite()) {
+    pub fn new(ray: &PreparedRay, extent: Vec4) -> Option<SlabRay> {
+        let [origin, _, inverse, _]: [Vec4; 4] = bytemuck::cast(*ray);
+        // Of the fourth numbers one is no number of a vector, and might be denormal.
+        let (origin, scale) = (origin.with_w(1.0), inverse.with_w(1.0));
+        let size = (extent + origin.abs()) * scale.abs();
+        // NaN fails, too.
+        let able = size.cmplt(Vec4::splat(f32::MAX / 4.0)).bitmask() == 0b1111;
+        if !(able && ray.tnear >= 0.0) {
             return None;
         }
-        let splat = |v: Vec3| [_mm256_set1_ps(v.x), _mm256_set1_ps(v.y), _mm256_set1_ps(v.z)];
-        // Not from `downwards`: two of those at once, as the compiler reads them, have to wait for the writing of each.
-        let upper = |axis: usize| SIDE * usize::from(near_scale[axis].is_sign_negative());
+        let pad = size * (24.0 * UNIT) + 4.0 * f32::MIN_POSITIVE;
+        let shift = -(origin * scale);
+        let downwards = scale.is_negative_bitmask() as usize;
+        let side = |axis: usize| (downwards >> axis & 1) * SIDE;
         Some(SlabRay {
-            near_scale: splat(near_scale),
-            near_shift: splat(near_shift),
-            far_scale: splat(far_scale),
-            far_shift: splat(far_shift),
-            near: [upper(0), AXIS + upper(1), 2 * AXIS + upper(2)],
+            scale: splat(scale),
+            near_shift: splat(shift - pad),
+            far_shift: splat(shift + pad),
+            near: [side(0), AXIS + side(1), 2 * AXIS + side(2)],
             // -0 becomes 0: as an integer it is the least of all.
             tnear: _mm256_castps_si256(_mm256_set1_ps(ray.tnear + 0.0)),
         })
@@ -82,16 +85,16 @@ impl SlabRay {
             let faces = unsafe { _mm256_load_ps(faces.add(at).cast()) };
             _mm256_castps_si256(_mm256_fmadd_ps(faces, scale, shift))
         };
-        let near_x = distances(x, self.near_scale[0], self.near_shift[0]);
-        let near_y = distances(y, self.near_scale[1], self.near_shift[1]);
-        let near_z = distances(z, self.near_scale[2], self.near_shift[2]);
-        let far_x = distances(x ^ SIDE, self.far_scale[0], self.far_shift[0]);
-        let far_y = distances(y ^ SIDE, self.far_scale[1], self.far_shift[1]);
-        let far_z = distances(z ^ SIDE, self.far_scale[2], self.far_shift[2]);
+        let near_x = distances(x, self.scale[0], self.near_shift[0]);
+        let near_y = distances(y, self.scale[1], self.near_shift[1]);
+        let near_z = distances(z, self.scale[2], self.near_shift[2]);
+        let far_x = distances(x ^ SIDE, self.scale[0], self.far_shift[0]);
+        let far_y = distances(y ^ SIDE, self.scale[1], self.far_shift[1]);
+        let far_z = distances(z ^ SIDE, self.scale[2], self.far_shift[2]);
         let tfar = _mm256_castps_si256(_mm256_set1_ps(tfar));
         let entry = _mm256_max_epi32(_mm256_max_epi32(near_x, near_y), _mm256_max_epi32(near_z, self.tnear));
         let exit = _mm256_min_epi32(_mm256_min_epi32(far_x, far_y), _mm256_min_epi32(far_z, tfar));
-        Met { entry, missed: _mm256_cmpgt_epi32(entry, exit) }
+        Met { entry, exit }
     }
 
     /// The lanes that the ray enters after its start, as bits.
@@ -107,15 +110,27 @@ impl Met {
     #[target_feature(enable = "avx2,fma")]
     #[inline]
     pub fn mask(&self) -> u32 {
-        bits(self.missed) ^ 0xff
+        bits(_mm256_cmpgt_epi32(self.entry, self.exit)) ^ 0xff
     }
 
-    /// Where the ray enters each.
+    /// Where the ray enters each, as integers of the same bits.
     #[inline(always)]
-    pub fn entries(&self) -> [f32; 8] {
+    pub fn entries(&self) -> [i32; 8] {
         // SAFETY: both are 32 bytes of plain numbers.
         unsafe { std::mem::transmute(self.entry) }
     }
+}
+
+/// The first three numbers, eight times each.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn splat(vector: Vec4) -> [__m256; 3] {
+    let vector: __m128 = vector.into();
+    [
+        _mm256_broadcastss_ps(vector),
+        _mm256_broadcastss_ps(_mm_permute_ps::<0b01_01_01_01>(vector)),
+        _mm256_broadcastss_ps(_mm_permute_ps::<0b10_10_10_10>(vector)),
+    ]
 }
 
 /// The sign of each lane.
@@ -131,7 +146,7 @@ const _: () = assert!(size_of::<Group<8>>() == 3 * AXIS + 64);
 mod tests {
     use super::super::super::form::Below;
     use super::*;
-    use crate::geometry::{Aabb, Ray};
+    use crate::geometry::{Aabb, Ray, Vec3};
     use crate::random::Random;
 
     /// A number of either sign and any magnitude within 2 to the power of ± `range`.
@@ -163,14 +178,17 @@ mod tests {
                     group.faces[axis][1][lane] = bounds.upper[axis];
                 }
             }
-            let Some(slabs) = SlabRay::new(&ray) else {
+            let extent =
+                boxes.iter().fold(Vec3::ZERO, |extent, of| extent.max(of.lower.abs()).max(of.upper.abs()));
+            let Some(slabs) = SlabRay::new(&ray, extent.extend(0.0)) else {
                 refused += 1;
                 continue;
             };
             let tfar = number(random, range).abs();
             let met = slabs.test(&group, tfar);
             for (lane, bounds) in boxes.iter().enumerate().filter(|(_, bounds)| !bounds.is_empty()) {
-                let here = (met.mask() >> lane & 1 != 0).then(|| met.entries()[lane]);
+                let here = (met.mask() >> lane & 1 != 0)
+                    .then(|| f32::from_bits(met.entries()[lane].cast_unsigned()));
                 match (here, ray.entry(bounds, tfar)) {
                     (Some(here), Some(there)) => {
                         assert!(here <= there, "{here} {there} {ray:?} {bounds:?}");
@@ -178,7 +196,8 @@ mod tests {
                         both += 1;
                     }
                     (None, Some(there)) => panic!("lost, entered at {there}: {ray:?} {bounds:?} {tfar}"),
-                    (Some(_), None) => here_only += u32::from(lane == 3),
+                    // What is allowed for goes by the greatest box, so boxes must be of like sizes.
+                    (Some(_), None) => here_only += u32::from(lane == 3 && round % 4 == 0),
                     (None, None) => {}
                 }
             }
@@ -206,7 +225,7 @@ mod tests {
             let [origin, direction] = [Vec3::splat(origin), Vec3::new(1.0, direction, 1.0)];
             let ray = PreparedRay::new(&Ray { origin, tnear, direction, tfar: 9.0 });
             // SAFETY: the processor has both features.
-            unsafe { SlabRay::new(&ray) }.is_none()
+            unsafe { SlabRay::new(&ray, Vec4::new(1.0, 1.0, 1.0, 0.0)) }.is_none()
         };
         assert!(!refused(1.0, 1.0, 0.0) && !refused(0.0, -1e-9, 5.0));
         assert!(refused(1.0, 0.0, 0.0) && refused(1.0, -0.0, 0.0) && refused(1.0, 1e-42, 0.0));
@@ -224,7 +243,7 @@ mod tests {
         let group = Box::new(Group { faces: [[[0.0; 8]; 2]; 3], below: [Below::NOTHING; 8] });
         // SAFETY: there is none; see above.
         let met = unsafe {
-            let mut slabs = SlabRay::new(&PreparedRay::new(&ray)).unwrap();
+            let mut slabs = SlabRay::new(&PreparedRay::new(&ray), Vec4::ZERO).unwrap();
             slabs.near = [size_of::<Group<8>>(), AXIS, 2 * AXIS];
             slabs.test(std::hint::black_box(&group), 9.0)
         };

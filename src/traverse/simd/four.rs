@@ -120,6 +120,16 @@ mod imp {
             unsafe { F32x4(_mm_fmadd_ps(self.0, other.0, addend.0)) }
         }
 
+        /// `self` * `other` - `less`, rounded once.
+        ///
+        /// # Safety
+        /// The processor must have FMA.
+        #[inline(always)]
+        pub unsafe fn fused_less(self, other: F32x4, less: F32x4) -> F32x4 {
+            // SAFETY: the caller says so.
+            unsafe { F32x4(_mm_fmsub_ps(self.0, other.0, less.0)) }
+        }
+
         /// Bit i: lane i of `self` <= lane i of `other`.
         #[inline(always)]
         pub fn le_mask(self, other: F32x4) -> u32 {
