@@ -27,7 +27,7 @@ use embree_trace::random::Random;
 use embree_trace::recipe::{Heuristic, Recipe};
 use embree_trace::traverse::packet::MOST;
 use embree_trace::traverse::{All, Counts, OcclusionOrder, Prepared, PreparedRay, Scratch, Traversal};
-use embree_trace::tree::{Tree, collapse, likely};
+use embree_trace::tree::{Tree, TreeView, collapse, likely};
 use obvhs::BvhBuildParams;
 use peers::Peer;
 use peers::obvhs_crate::Obvhs;
@@ -54,7 +54,7 @@ fn main() {
     if paths.is_empty() {
         let triangles = courtyard(64, 1).triangles();
         let records = made_up(&triangles);
-        ratios.push(("courtyard".to_owned(), compare("generated courtyard", &triangles, &records)));
+        ratios.push(("courtyard".to_owned(), compare("generated courtyard", &triangles, &records, None)));
     }
     for pair in paths.chunks(2) {
         let [bvh_path, rays_path] = pair else {
@@ -68,7 +68,7 @@ fn main() {
             .flat_map(|index| rays.chunk(index).expect("a whole chunk").records.into_owned())
             .collect();
         let name = Path::new(bvh_path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        ratios.push((name, compare(bvh_path, bvh.triangles, &records)));
+        ratios.push((name, compare(bvh_path, bvh.triangles, &records, Some(bvh.tree))));
     }
     for (place, title) in titles.iter().enumerate() {
         print_ratios(
@@ -95,6 +95,11 @@ enum Side {
     BinaryPeer,
     /// Trees of eight of other crates.
     WidePeer,
+    /// Our traversal of Embree's own tree: the target is `EmbreeMedium`.
+    SameTree,
+    /// Packets over our tree of eight: the target is `Eight`.
+    WidePackets,
+    EmbreeMedium,
     Embree,
     /// Shown only.
     Other,
@@ -127,7 +132,8 @@ impl Trees {
 }
 
 /// Runs what there is to run on the queries of one scene, called by a name. Returns ratios by purpose.
-type Compare = fn(&str, &[Triangle], &[Record]) -> Ratios;
+/// The last argument is the tree that the recorded program's Embree built.
+type Compare = fn(&str, &[Triangle], &[Record], Option<TreeView>) -> Ratios;
 
 /// By purpose a ratio for each title.
 type Ratios = [Vec<f64>; 3];
@@ -135,7 +141,7 @@ type Ratios = [Vec<f64>; 3];
 const THREADS: [&str; 2] = ["two threads / one, 8 wide", "two threads / one, Embree medium"];
 
 /// How much faster two threads are, ours and Embree's.
-fn threads(_: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
+fn threads(_: &str, triangles: &[Triangle], records: &[Record], _: Option<TreeView>) -> Ratios {
     let tree = Trees::new(triangles).eight;
     let eight = Prepared::new(tree.view(), triangles, &[]);
     let ours = || Ours::<()>::in_order(&eight, OcclusionOrder::Outside);
@@ -162,16 +168,18 @@ fn queries(records: &[Record], purpose: Purpose) -> Vec<Record> {
     chosen.chunks(MOST).step_by(every).flatten().copied().collect()
 }
 
-const RACE: [&str; 5] = [
+const RACE: [&str; 7] = [
     "binary / fastest binary crate",
     "the same, counting",
     "8 wide / fastest Embree (medium, high)",
     "8 wide / fastest crate of any width",
     "packets of 256 / single rays, binary",
+    "packets of 256 / single rays, 8 wide",
+    "Embree's medium tree, ours / Embree",
 ];
 
 /// Every contender, one thread.
-fn race(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
+fn race(name: &str, triangles: &[Triangle], records: &[Record], recorded: Option<TreeView>) -> Ratios {
     let prepared = |tree: &Tree| Prepared::new(tree.view(), triangles, &[]);
     let trees = Trees::new(triangles);
     let (binary, four, eight) = (prepared(&trees.binary), prepared(&trees.four), prepared(&trees.eight));
@@ -183,6 +191,7 @@ fn race(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
     let tiny_hq = tinybvh_rs::bvh::BVH::new_hq(corners.as_slice().into()).expect("whole triangles");
     let on_tiny =
         prepared(&TinyBvh::tree(&TinyBvh { spatial: true }.build(&mut TinyBvh::prepare(triangles))));
+    let recorded = recorded.map(|tree| Prepared::new(tree, triangles, &[]));
     let (odf, ray_order) = (Traversal::Odf, Traversal::RayOrder);
     #[cfg(feature = "embree")]
     let scenes = EmbreeScenes::new(triangles);
@@ -228,7 +237,7 @@ fn race(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
         ("parry3d", Side::BinaryPeer, runner(ParryCaster::new(triangles))),
         ("bvh", Side::BinaryPeer, runner(BvhCrateCaster::new(triangles))),
         ("ours ODF, 4 wide", Side::Other, runner(Ours::<()>::new(&four, odf))),
-        ("ours ODF, 8 wide, packets of 256", Side::Other, packets(&eight, odf, MOST)),
+        ("ours ODF, 8 wide, packets of 256", Side::WidePackets, packets(&eight, odf, MOST)),
         ("ours ODF, 8 wide", Side::Eight, runner(Ours::<()>::new(&eight, odf))),
         (
             "ours ODF, 8 wide, outside",
@@ -243,7 +252,14 @@ fn race(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
             .map(|(name, spatial)| (name, Side::WidePeer, runner(TinyBvhEight::new(triangles, spatial)))),
     );
     #[cfg(feature = "embree")]
-    contenders.extend(scenes.casters().map(|(name, caster)| (name, Side::Embree, runner(caster))));
+    for ((name, caster), side) in scenes.casters().zip([Side::EmbreeMedium, Side::Embree]) {
+        contenders.push((name, side, runner(caster)));
+    }
+    if let Some(tree) = &recorded {
+        // Embree's kernels go to the last child first.
+        let caster = Ours::<()>::in_order(tree, OcclusionOrder::Last);
+        contenders.push(("ours ODF, Embree's tree", Side::SameTree, runner(caster)));
+    }
     PURPOSES.map(|purpose| {
         let queries = queries(records, purpose);
         if queries.is_empty() {
@@ -269,9 +285,11 @@ fn race(name: &str, triangles: &[Triangle], records: &[Record]) -> Ratios {
         vec![
             ours(Side::Binary) / peer,
             ours(Side::BinaryCounting) / peer,
-            ours(Side::Eight) / best(Side::Embree),
+            ours(Side::Eight) / best(Side::EmbreeMedium).max(best(Side::Embree)),
             ours(Side::Eight) / peer.max(best(Side::WidePeer)),
             best(Side::Packets) / alone,
+            best(Side::WidePackets) / ours(Side::Eight),
+            best(Side::SameTree) / best(Side::EmbreeMedium),
         ]
     })
 }
