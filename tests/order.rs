@@ -9,7 +9,7 @@ use embree_trace::geometry::{Ray, Triangle};
 use embree_trace::optimize::order::{Chosen, Config, choose, limit, measure};
 use embree_trace::training::occlusions::Occlusion;
 use embree_trace::traverse::*;
-use embree_trace::tree::Tree;
+use embree_trace::tree::{Tree, collapse};
 use std::process::Command;
 
 fn queries(rays: &[Ray]) -> Vec<Occlusion> {
@@ -241,7 +241,13 @@ fn orders_survive_the_file_and_bad_ones_are_refused() {
     let length = OrderError::Length { orders: bytes.len() - 1, nodes: bytes.len() };
     assert_eq!(refused(None, Some(&bytes[1..])), Err(length));
     assert_eq!(refused(Some(OrderName::Recorded), None), Err(OrderError::NotRecorded));
+    let is_wide = tree.nodes.iter().any(|node| !node.is_leaf() && node.len() > 2);
+    assert!(!is_wide);
     assert_eq!(refused(None, None), Ok(OcclusionOrder::Nearest));
+    // Embree's kernels follow the last child first.
+    let area = |node: usize| f64::from(tree.nodes[node].bounds().area());
+    let wide = collapse::collapse(tree.view(), area, &collapse::Config::vector(8)).expect("a binary tree");
+    assert_eq!(OcclusionOrder::new(None, wide.view(), None), Ok(OcclusionOrder::Last));
 }
 
 #[test]

@@ -14,23 +14,21 @@ tables and the figure are made from these files alone.
 """
 
 import argparse
-import contextlib
 import datetime
-import io
 import json
 import os
 import pathlib
-import statistics
 import subprocess
 import sys
 import time
+
+from kernels_tables import figure, page, ratio, to_best, to_medium
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs/performance.md"
 FIGURE = ROOT / "docs/images/kernels.svg"
 KERNELS = [(isa, robust) for isa in ("sse42", "avx2", "avx512") for robust in (False, True)]
 TREES = ["area", "ours"]
-NONE = "–"
 
 
 def arguments():
@@ -70,6 +68,11 @@ def arguments():
     )
     parser.add_argument("--no-answers", action="store_true", help="only times")
     parser.add_argument(
+        "--purposes",
+        action="store_true",
+        help="also a tree for camera queries, one for shadow queries, and one from another camera's",
+    )
+    parser.add_argument(
         "--tables", action="store_true", help="measures nothing: tables and figure of what is kept"
     )
     return parser.parse_args()
@@ -83,7 +86,7 @@ class Bench:
         self.bin = options.bin
         options.keep.mkdir(parents=True, exist_ok=True)
         if self.bin is None and not options.tables:
-            names = ["embree-trace", "bvh-build", "bvh-compare"]
+            names = ["embree-trace", "bvh-build", "bvh-compare", "trace-info"]
             build = [
                 "cargo",
                 "build",
@@ -118,12 +121,13 @@ class Bench:
         unfinished.rename(path)
         return value
 
-    def record(self, scene, name, seed):
+    def record(self, scene, name, seed, view=None, camera=()):
         """A recording of the scene, the tree that Embree built, and how many triangles it has."""
+        key = view or seed
         rays, built, said = (
-            self.path(name, f"{seed}.rays"),
-            self.path(name, "built.bvh"),
-            self.path(name, f"{seed}.said"),
+            self.path(name, f"{key}.rays"),
+            self.path(name, "built.bvh" if view is None else f"{view}.built.bvh"),
+            self.path(name, f"{key}.said"),
         )
         if not said.exists():
             options = [
@@ -135,6 +139,7 @@ class Bench:
                 self.options.depth,
                 "--seed",
                 seed,
+                *camera,
             ]
             said.write_text(
                 self.run(
@@ -188,6 +193,54 @@ class Bench:
             "failures": report["failures"],
         }
 
+    def other_camera(self, name):
+        """Where else the scene may be looked at from: a quarter of a circle further for a camera
+        outside; one inside goes half of the way to what it looks at and turns by a right angle."""
+        said = json.loads(self.path(name, "1.said").read_text())
+        eye, target, up = (vector(text) for text in said["camera"].split("/"))
+        info = json.loads(
+            self.run("trace-info", self.path(name, "built.bvh"), "--format", "json").stdout
+        )
+        lower, upper = info["bounds"]["lower"], info["bounds"]["upper"]
+        sight = [b - a for a, b in zip(eye, target)]
+        turned = quarter(sight, up)
+        if all(low <= at <= high for low, at, high in zip(lower, eye, upper)):
+            eye = [at + 0.5 * way for at, way in zip(eye, sight)]
+            target = [at + way for at, way in zip(eye, turned)]
+        else:
+            eye = [at - way for at, way in zip(target, turned)]
+        view = "/".join(",".join(f"{value:.9g}" for value in at) for at in (eye, target, up))
+        return ["--camera", view, "--fov", said["fov_degrees"]]
+
+    def purposes(self, scene, name):
+        """Times of trees for some of the queries, and of one from another camera."""
+        built, trees = self.trees(scene, name)
+        asked, _, triangles = self.record(scene, name, 2)
+        train, *_ = self.record(scene, name, 1)
+        elsewhere, *_ = self.record(scene, name, 1, "elsewhere", self.other_camera(name))
+        makings = {
+            "camera": [train, "--filter", "purpose=camera"],
+            "shadow": [train, "--filter", "purpose=shadow"],
+            "elsewhere": [elsewhere],
+        }
+        paths = {"ours": trees[-1]}
+        for key, (rays, *words) in makings.items():
+            paths[key] = self.path(name, f"{key}.bvh")
+            self.build(built, paths[key], "--rays", rays, *words)
+        choice = ["--traversal", "odf", "--sample", self.options.sample]
+        timing = ["--time", "--rounds", self.options.rounds, "--format", "json"]
+        words = [built, *paths.values(), asked, *choice, *timing]
+        report = json.loads(self.run("bvh-compare", *words, good=(0, 1)).stdout)
+        return {
+            "date": datetime.date.today().isoformat(),
+            "triangles": triangles,
+            "budget": float(self.options.budget),
+            "trees": {
+                key: tree["time"]["embree"] for key, tree in zip(paths, report["trees"][1:])
+            },
+            "failures": report["failures"],
+        }
+
     def answers(self, scene, name, isa, robust):
         started = time.time()
         tree = self.tree_for(scene, name, isa)
@@ -221,247 +274,31 @@ class Bench:
                 path.unlink()
 
 
+def vector(text):
+    return [float(word) for word in text.split(",")]
+
+
+def quarter(way, up):
+    """The vector turned by a right angle around `up`."""
+    length = sum(value * value for value in up) ** 0.5
+    x, y, z = (value / length for value in up)
+    along = x * way[0] + y * way[1] + z * way[2]
+    across = [
+        y * way[2] - z * way[1],
+        z * way[0] - x * way[2],
+        x * way[1] - y * way[0],
+    ]
+    return [along * axis + turned for axis, turned in zip((x, y, z), across)]
+
+
 def kernels_name(isa, robust):
     return f"{isa} robust" if robust else isa
-
-
-def median(values):
-    values = [value for value in values if value is not None]
-    return statistics.median(values) if values else None
-
-
-def ratio(value):
-    return NONE if value is None else f"{value:.3f}"
-
-
-def table(header, text, rows):
-    print("| " + " | ".join(header) + " |")
-    print("|" + "---|" * text + "--:|" * (len(header) - text))
-    for row in rows:
-        print("| " + " | ".join(row) + " |")
-    print()
-
-
-def part(group, kind):
-    return group if kind is None else group.get("by_kind", {}).get(kind)
-
-
-def to_medium(times, tree, kind=None):
-    group = part(times["trees"][tree], kind)
-    return group and group.get("ratio_to_own")
-
-
-def to_best(times, tree, kind=None):
-    group = part(times["trees"][tree], kind)
-    return group and group.get("ratio_to_best")
-
-
-def high(times, kind=None):
-    """Embree's tree of high quality relative to that of medium quality."""
-    both = [part(group, kind) for group in (times["embree"].get("high"), times["embree"]) if group]
-    return both[0]["seconds"] / both[1]["seconds"] if len(both) == 2 and all(both) else None
-
-
-def spread(times):
-    groups = [times["embree"], times["embree"].get("high")]
-    embree = [(group["greatest"] - group["least"]) / group["seconds"] for group in groups if group]
-    planted = [tree["spread"] for tree in times["trees"].values() if "spread" in tree]
-    return max(embree + planted)
-
-
-COLUMNS = [
-    ("Embree high", high),
-    ("medium, planted", lambda times: to_medium(times, "built")),
-    ("area", lambda times: to_medium(times, "area")),
-    ("**rays**", lambda times: to_medium(times, "ours")),
-    ("rays, closest", lambda times: to_medium(times, "ours", "closest_hit")),
-    ("rays, occlusion", lambda times: to_medium(times, "ours", "occlusion")),
-    ("area / best", lambda times: to_best(times, "area")),
-    ("**rays / best**", lambda times: to_best(times, "ours")),
-]
-
-
-def time_table(all_times):
-    rows = []
-    values = [[] for _ in COLUMNS]
-    for name, times in all_times.items():
-        found = [column(times) for _, column in COLUMNS]
-        for list_, value in zip(values, found):
-            list_.append(value)
-        rows.append(
-            [name, f"{times['triangles']:,}", *map(ratio, found), f"{100 * spread(times):.0f}%"]
-        )
-    rows.append(["**median**", "", *(ratio(median(list_)) for list_ in values), ""])
-    known = [[value for value in list_ if value is not None] for list_ in values]
-    rows.append(["**worst**", "", *(ratio(max(list_, default=None)) for list_ in known), ""])
-    table(["scene", "triangles", *(title for title, _ in COLUMNS), "spread"], 1, rows)
-
-
-def answer_table(all_answers):
-    """A row a scene, sums over the kernels; then what is not 0, kernel by kernel."""
-    keys = ["flipped", "apart"]
-    rows, sums, told = [], [0] * 7, []
-    for name, by_kernels in all_answers.items():
-        planted = {kernels: found for kernels, found in by_kernels.items() if found.get("answers")}
-        row = [len(planted)]
-        answers = [found["answers"] for found in planted.values()]
-        row.append(sum(one["queries"] for one in answers))
-        row += [sum(one[key] for one in answers) for key in keys]
-        row += [sum(one["packets"][key] for one in answers) for key in keys]
-        row.append(sum(one["mismatches"] for one in answers))
-        rows.append([name, *(f"{value:,}" for value in row)])
-        sums = [a + b for a, b in zip(sums, row)]
-        for kernels, found in planted.items():
-            one = found["answers"]
-            if any(one[key] or one["packets"][key] for key in keys) or one["mismatches"]:
-                packets, own = one["packets"], found["own"]["mismatches"]
-                told.append(
-                    f"{name}, {kernels}: {one['flipped']} flipped and {one['apart']} apart singly, "
-                    f"{packets['flipped']} and {packets['apart']} in packets, {one['mismatches']} wrong; "
-                    f"on Embree's own tree {own} wrong"
-                )
-    rows.append(["**all**", *(f"{value:,}" for value in sums)])
-    table(
-        [
-            "scene",
-            "kernels",
-            "queries",
-            "flipped",
-            "apart",
-            "flipped, packets",
-            "apart, packets",
-            "wrong",
-        ],
-        1,
-        rows,
-    )
-    for line in told:
-        print(f"- {line}")
-    if told:
-        print()
-
-
-def machine():
-    model = [
-        line.split(":")[1].strip()
-        for line in open("/proc/cpuinfo")
-        if line.startswith("model name")
-    ]
-    return f"{model[0]}, {os.cpu_count()} cores"
-
-
-def several(values):
-    """What all scenes have, or from the least to the greatest."""
-    least, greatest = min(values), max(values)
-    return f"{least}" if least == greatest else f"{least} to {greatest}"
-
-
-TIMES = """Time of Embree's kernels for queries of another seed, relative to its own tree of medium \
-quality: paths of depth {depth}, one thread, medians of {rounds} interleaved rounds of up to \
-{queries:,} queries, {budget} s for each of our trees. *medium, planted*: Embree's own tree in our \
-pages. *area*, the control: `bvh-build built.bvh area.bvh --rays casts.rays --area-only`; *rays*: \
-`bvh-build built.bvh ours.bvh --rays casts.rays`. *best*: the better of medium and high. *spread*: between the least and the \
-greatest round, the largest of a scene
-"""
-
-ANSWERS = """Answers on our tree from rays (with SSE one of four children a node) that are not those on \
-Embree's own tree, by its kernels for SSE 4.2, AVX2 and AVX-512, each default and robust. *flipped*: a \
-hit for a miss; *apart*: t beyond 1e-4; *wrong*: other than recorded, and not as good
-"""
-
-
-def report(all_times, all_answers):
-    """The tables as they stand in the page."""
-    times = list(all_times.values())
-    embree = times[0]["embree"]
-    number = embree["version"]
-    version = f"{number // 10000}.{number // 100 % 100}.{number % 100}"
-    loads = [load for one in times for load in one["load"]]
-    print(
-        f"*{several([one['date'] for one in times])}, {machine()}, Embree {version}, "
-        f"{embree['isa']}, "
-        f"{embree['structure']}; load of the machine {min(loads):.1f} to {max(loads):.1f}, "
-        f"median {median(loads):.1f}*\n"
-    )
-    said = {
-        "depth": several([one["depth"] for one in times]),
-        "rounds": several([one["timing"]["rounds"] for one in times]),
-        "queries": max(one["timing"]["queries"] for one in times),
-        "budget": several([round(one["budget"]) for one in times]),
-    }
-    print(TIMES.format(**said))
-    time_table(all_times)
-    if all_answers:
-        print(ANSWERS)
-        answer_table(all_answers)
-
-
-SERIES = [
-    ("Embree high", "#CC79A7", high, "cross"),
-    ("best tree from area", "#009E73", lambda times: to_medium(times, "area"), "ring"),
-    ("best tree from rays", "#0072B2", lambda times: to_medium(times, "ours"), "disk"),
-]
-
-
-def mark(kind, color, x, y):
-    if kind == "cross":
-        cross = f"M{x - 4:.1f} {y - 4}l8 8m0 -8l-8 8"
-        return f'<path d="{cross}" stroke="{color}" stroke-width="1.6" fill="none"/>'
-    fill = color if kind == "disk" else "#FFFFFF"
-    circle = f'cx="{x:.1f}" cy="{y}" r="4"'
-    return f'<circle {circle} fill="{fill}" stroke="{color}" stroke-width="1.6"/>'
-
-
-def words(x, y, text, anchor="middle", size=11, weight="normal"):
-    font = f'font-family="sans-serif" font-size="{size}" font-weight="{weight}" fill="#1E1E1E"'
-    return f'<text x="{x:.1f}" y="{y}" text-anchor="{anchor}" {font}>{text}</text>'
-
-
-def line(path, color, width=1):
-    return f'<path d="{path}" stroke="{color}" stroke-width="{width}"/>'
-
-
-def figure(all_times):
-    """What the table says of time, as SVG: one line a scene, the fastest at the top."""
-    order = sorted(all_times, key=lambda name: to_medium(all_times[name], "ours") or 9)
-    left, right, top, step, width = 150, 830, 84, 22, 860
-    bottom = top + step * len(order)
-    values = [value(times) for _, _, value, _ in SERIES for times in all_times.values()]
-    values = [value for value in values if value is not None] + [1.0]
-    low, great = min(values) - 0.03, max(values) + 0.03
-    place = lambda value: left + (value - low) / (great - low) * (right - left)
-    size = f'width="{width}" height="{bottom + 60}"'
-    title = "Time of Embree's own kernels, on rays that no tree has seen"
-    lines = [
-        f'<svg {size} viewBox="0 0 {width} {bottom + 60}" xmlns="http://www.w3.org/2000/svg">',
-        f'<rect {size} fill="#FFFFFF"/>',
-        words(width / 2, 26, title, size=14, weight="bold"),
-    ]
-    for number, (label, color, _, kind) in enumerate(SERIES):
-        x = left + 40 + 220 * number
-        lines += [mark(kind, color, x, 54), words(x + 12, 58, label, "start", 12)]
-    for tenth in range(int(low * 10) + 1, int(great * 10) + 1):
-        x, is_one = place(tenth / 10), tenth == 10
-        vertical = f"M{x:.1f} {top - 8}V{bottom}"
-        lines.append(line(vertical, "#888888" if is_one else "#E2E2E2", 2 if is_one else 1))
-        lines.append(words(x, bottom + 16, f"{tenth / 10:.1f}"))
-    for number, name in enumerate(order):
-        y = top + step * number + 8
-        lines += [line(f"M{left} {y}H{right}", "#F0F0F0"), words(left - 10, y + 4, name, "end")]
-        for _, color, value, kind in SERIES:
-            found = value(all_times[name])
-            if found is not None:
-                lines.append(mark(kind, color, place(found), y))
-    below = "relative to Embree's tree of medium quality; less is faster"
-    lines += [words((left + right) / 2, bottom + 42, below, size=12), "</svg>", ""]
-    FIGURE.write_text("\n".join(lines))
 
 
 def write(text):
     """Puts the tables between their marks."""
     begin, end = "<!-- measured: kernels -->", "<!-- end: kernels -->"
-    page = PAGE.read_text()
-    head, rest = page.split(begin)
+    head, rest = PAGE.read_text().split(begin)
     PAGE.write_text(f"{head}{begin}\n\n{text}{end}{rest.split(end)[1]}")
 
 
@@ -482,6 +319,8 @@ def measure(bench, scene, is_named):
     times = bench.kept(kept, lambda: bench.times(scene, name))
     medium, best = ratio(to_medium(times, "ours")), ratio(to_best(times, "ours"))
     tell(f": {medium} of medium, {best} of the best, {times['seconds']:.0f} s")
+    if bench.options.purposes:
+        bench.kept(bench.path(name, "purposes.json"), lambda: bench.purposes(scene, name))
     if bench.options.no_answers:
         return
     for isa, robust in KERNELS:
@@ -496,7 +335,8 @@ def measure(bench, scene, is_named):
 
 
 def load(bench):
-    """What is kept: times by scene, the smallest first, and answers by scene and kernels."""
+    """What is kept: times by scene, the smallest first, answers by scene and kernels, and times of
+    trees for some of the queries by scene."""
     paths = bench.options.keep.glob("*.times.json")
     times = {path.name.split(".")[0]: json.loads(path.read_text()) for path in paths}
     times = dict(sorted(times.items(), key=lambda item: item[1]["triangles"]))
@@ -506,7 +346,12 @@ def load(bench):
             path = bench.answers_path(name, kernels)
             if path.exists():
                 answers.setdefault(name, {})[kernels] = json.loads(path.read_text())
-    return times, answers
+    purposes = {}
+    for name in times:
+        path = bench.path(name, "purposes.json")
+        if path.exists():
+            purposes[name] = json.loads(path.read_text())
+    return times, answers, purposes
 
 
 def main():
@@ -518,15 +363,13 @@ def main():
         scenes = sorted(folder.glob("*.obj.zst"), key=lambda path: path.stat().st_size)
     for scene in [] if options.tables else scenes:
         measure(bench, scene, bool(options.scenes))
-    times, answers = load(bench)
+    times, answers, purposes = load(bench)
     if not times:
         sys.exit("nothing is measured yet")
-    text = io.StringIO()
-    with contextlib.redirect_stdout(text):
-        report(times, answers)
-    print(text.getvalue(), end="")
-    write(text.getvalue())
-    figure(times)
+    text = page(times, answers, purposes)
+    print(text, end="")
+    write(text)
+    figure(times, FIGURE)
 
 
 if __name__ == "__main__":

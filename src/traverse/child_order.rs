@@ -303,7 +303,8 @@ pub enum OrderError {
 }
 
 impl OcclusionOrder {
-    /// The order called `name` over `tree`, whose section `ORDR` is `recorded`. Without a name, what is recorded, else nearest first. A section that says
+    /// The order called `name` over `tree`, whose section `ORDR` is `recorded`. Without a name, what is recorded; else last first in a tree with more
+    /// than two children a node, as Embree's kernels follow it, and nearest first in a binary one. A section that says
     /// the same of every node, that children are visited in the order of the file, is that order.
     ///
     /// # Errors
@@ -313,7 +314,12 @@ impl OcclusionOrder {
         tree: TreeView,
         recorded: Option<&[u8]>,
     ) -> Result<OcclusionOrder, OrderError> {
-        let default = if recorded.is_some() { OrderName::Recorded } else { OrderName::Nearest };
+        let is_wide = tree.nodes.iter().any(|node| !node.is_leaf() && node.len() > 2);
+        let default = match (recorded, is_wide) {
+            (Some(_), _) => OrderName::Recorded,
+            (None, true) => OrderName::Last,
+            (None, false) => OrderName::Nearest,
+        };
         Ok(match name.unwrap_or(default) {
             OrderName::Recorded => {
                 let orders = recorded.ok_or(OrderError::NotRecorded)?;
