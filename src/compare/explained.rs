@@ -28,11 +28,12 @@ pub struct Measured {
     pub sample: Sample,
 }
 
-/// Costs fitted to one follower's times over trees of one width, for one kind of query.
+/// Costs fitted to one follower's times over trees of one width, or of all, for one kind of query.
 #[derive(Clone, Debug)]
 pub struct Fitted {
     pub follower: Follower,
-    pub width: usize,
+    /// `None` is of all widths together.
+    pub width: Option<usize>,
     pub is_occlusion: bool,
     pub trees: usize,
     /// `None` when the groups of queries are too few or too much alike.
@@ -88,14 +89,19 @@ pub fn together(parts: impl IntoIterator<Item = Vec<Measured>>) -> Vec<Measured>
     all
 }
 
-/// Fits for each follower, width and kind that was measured.
+/// Fits for each follower, width and kind that was measured, and of all widths together where there are several: those queries are the same, too.
 pub fn fitted(measured: &[Measured]) -> Vec<Fitted> {
+    let known = Costs::default();
     let mut found = Vec::new();
     for follower in Follower::ALL {
-        for width in WIDTHS {
+        let widths: BTreeSet<usize> =
+            measured.iter().filter(|it| it.follower == follower).map(|it| it.width).collect();
+        let all = (widths.len() > 1).then_some(None);
+        for width in widths.into_iter().map(Some).chain(all) {
             for is_occlusion in [false, true] {
                 let of = |it: &&Measured| {
-                    (it.follower, it.width, it.is_occlusion) == (follower, width, is_occlusion)
+                    (it.follower, it.is_occlusion) == (follower, is_occlusion)
+                        && width.is_none_or(|width| width == it.width)
                 };
                 let these: Vec<&Measured> = measured.iter().filter(of).collect();
                 if these.is_empty() {
@@ -103,7 +109,8 @@ pub fn fitted(measured: &[Measured]) -> Vec<Fitted> {
                 }
                 let trees = these.iter().map(|measured| measured.tree).collect::<BTreeSet<_>>().len();
                 let samples: Vec<Sample> = these.iter().map(|measured| measured.sample).collect();
-                found.push(Fitted { follower, width, is_occlusion, trees, fit: Fit::of(&samples) });
+                let known = known.of(width.unwrap_or(WIDTHS[WIDTHS.len() - 1]), is_occlusion);
+                found.push(Fitted { follower, width, is_occlusion, trees, fit: Fit::of(&samples, known) });
             }
         }
     }

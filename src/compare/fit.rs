@@ -36,8 +36,8 @@ pub struct Fit {
     pub leaf: Option<Estimate>,
     pub block: Option<Estimate>,
     pub miss: Option<Estimate>,
-    /// Whether leaves and blocks rise and fall together, as where every leaf is one block: then `leaf` has both.
-    pub leaf_has_block: bool,
+    /// Whether leaves and blocks could not be told apart, as where every leaf is one block: then they have the ratio that is known.
+    pub is_joined: bool,
     /// Share of the variance that the fit explains: of that between trees for the same queries, or of that between groups where there is one tree.
     pub r_squared: f64,
     pub samples: usize,
@@ -60,9 +60,26 @@ struct Row {
 }
 
 impl Fit {
-    /// `None` when there are too few samples, or all are alike.
-    pub fn of(samples: &[Sample]) -> Option<Fit> {
-        let rows = rows(samples);
+    /// `None` when there are too few samples, or all are alike. Where leaves and blocks rise and fall so much together that the one or the other would cost
+    /// nothing, both are fitted in the ratio that they have in `known`.
+    pub fn of(samples: &[Sample], known: &Constants) -> Option<Fit> {
+        let mut rows = rows(samples);
+        let apart = Fit::of_rows(&rows)?;
+        if apart.leaf.is_some() && apart.block.is_some() {
+            return Some(apart);
+        }
+        for row in &mut rows {
+            row.x[LEAF] = known.leaf * row.x[LEAF] + known.block * row.x[BLOCK];
+            row.x[BLOCK] = 0.0;
+        }
+        let fit = Fit::of_rows(&rows)?;
+        let part = |share: f64| {
+            fit.leaf.map(|both| Estimate { value: share * both.value, error: share * both.error })
+        };
+        Some(Fit { leaf: part(known.leaf), block: part(known.block), is_joined: true, ..fit })
+    }
+
+    fn of_rows(rows: &[Row]) -> Option<Fit> {
         let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         rows.iter().enumerate().for_each(|(place, row)| groups.entry(row.group).or_default().push(place));
         let several = groups.values().any(|places| places.len() > 1);
@@ -106,7 +123,7 @@ impl Fit {
         let own = || {
             let costs: [f64; COLUMNS] =
                 std::array::from_fn(|column| estimate(column).map_or(0.0, |it| it.value));
-            mean_of_groups(&rows, &groups, &costs)
+            mean_of_groups(rows, &groups, &costs)
         };
         Some(Fit {
             query: if several { own() } else { estimate(QUERY) },
@@ -114,26 +131,20 @@ impl Fit {
             leaf: estimate(LEAF),
             block: estimate(BLOCK),
             miss: estimate(4),
-            leaf_has_block: told_apart.contains(&LEAF) && !told_apart.contains(&BLOCK) && scale[BLOCK] > 0.0,
+            is_joined: false,
             r_squared: 1.0 - residual / total,
             samples: rows.len(),
         })
     }
 
-    /// The constants, where a tree can be chosen by them: a visit, a leaf and a block each cost something. What leaves and blocks take together is
-    /// parted as in `known`.
-    pub fn constants(&self, known: &Constants) -> Option<Constants> {
+    /// The constants, where a tree can be chosen by them: a visit, a leaf and a block each cost something.
+    pub fn constants(&self) -> Option<Constants> {
         let value = |estimate: Option<Estimate>| estimate.map(|it| it.value).filter(|value| *value > 0.0);
-        let (mut leaf, mut block) = (value(self.leaf), value(self.block));
-        if self.leaf_has_block {
-            let both = leaf? / (known.leaf + known.block);
-            (leaf, block) = (Some(both * known.leaf), Some(both * known.block));
-        }
         Some(Constants {
             query: value(self.query).unwrap_or(0.0),
             visit: value(self.visit)?,
-            leaf: leaf?,
-            block: block?,
+            leaf: value(self.leaf)?,
+            block: value(self.block)?,
             miss: value(self.miss).unwrap_or(0.0),
         })
     }
@@ -348,7 +359,7 @@ mod tests {
     #[test]
     fn exact_costs_are_found_over_one_tree_and_over_several() {
         for trees in [1, 2, 7] {
-            let fit = Fit::of(&samples(trees, 0.0)).expect("a fit");
+            let fit = Fit::of(&samples(trees, 0.0), &TRUTH).expect("a fit");
             // Queries of their own groups differ, and their mean is weighted by what groups take.
             for (column, (cost, value)) in costs(&fit).into_iter().zip(truth()).enumerate() {
                 let within = if column == QUERY && trees > 1 { 3.0 } else { 1e-6 };
@@ -357,8 +368,8 @@ mod tests {
                     "{trees}, {column}: {fit:?}"
                 );
             }
-            assert!(fit.r_squared > 1.0 - 1e-9 && fit.samples == 60 * trees && !fit.leaf_has_block);
-            let constants = fit.constants(&TRUTH).expect("all of them");
+            assert!(fit.r_squared > 1.0 - 1e-9 && fit.samples == 60 * trees && !fit.is_joined);
+            let constants = fit.constants().expect("all of them");
             assert!((constants.leaf - 7.0).abs() < 1e-6 && (constants.miss - 20.0).abs() < 1e-6);
         }
     }
@@ -372,13 +383,13 @@ mod tests {
             sample.counted.counts.node_visits += queries * sample.group as u64;
             sample.seconds += 1e-9 * queries as f64 * (5.0 + 40.0) * sample.group as f64;
         }
-        let fit = Fit::of(&samples).expect("a fit");
+        let fit = Fit::of(&samples, &TRUTH).expect("a fit");
         assert!(fit.visit.is_some_and(|visit| (visit.value - 5.0).abs() < 1e-6), "{fit:?}");
     }
 
     #[test]
     fn noise_shows_in_errors_and_r_squared() {
-        let fit = Fit::of(&samples(6, 0.1)).expect("a fit");
+        let fit = Fit::of(&samples(6, 0.1), &TRUTH).expect("a fit");
         for (cost, value) in costs(&fit).into_iter().zip(truth()).skip(1) {
             let Estimate { value: found, error } = cost.expect("a cost");
             assert!(error > 0.05 && (found - value).abs() < 4.0 * error, "{value}: {fit:?}");
@@ -399,7 +410,7 @@ mod tests {
                 Sample { group: n as usize, counted: Counted { queries: 100, counts, misses: 0 }, seconds }
             })
             .collect();
-        let fit = Fit::of(&samples).expect("a fit");
+        let fit = Fit::of_rows(&rows(&samples)).expect("a fit");
         assert!(costs(&fit).iter().flatten().all(|cost| cost.value >= 0.0), "{fit:?}");
         assert!(fit.r_squared > 0.99, "{fit:?}");
         // No mixture of costs that are not negative is nearer: each of a grid around it is tried.
@@ -422,29 +433,28 @@ mod tests {
     }
 
     #[test]
-    fn leaves_of_one_block_have_both() {
+    fn leaves_and_blocks_that_cannot_be_told_apart_have_the_ratio_that_is_known() {
         let mut samples = samples(5, 0.0);
         for sample in &mut samples {
             sample.counted.counts.block_tests = sample.counted.counts.leaf_visits;
             sample.seconds = 1e-9 * TRUTH.of(&sample.counted);
         }
-        let fit = Fit::of(&samples).expect("a fit");
-        assert!(fit.leaf_has_block && fit.block.is_none(), "{fit:?}");
-        let constants = fit.constants(&Constants { leaf: 2.0, block: 1.0, ..TRUTH }).expect("parted");
-        assert!((constants.leaf - 6.0).abs() < 1e-6 && (constants.block - 3.0).abs() < 1e-6);
+        let fit = Fit::of(&samples, &Constants { leaf: 2.0, block: 1.0, ..TRUTH }).expect("a fit");
+        let constants = fit.constants().expect("all of them");
+        assert!(fit.is_joined && fit.r_squared > 1.0 - 1e-9, "{fit:?}");
+        assert!((constants.leaf - 6.0).abs() < 1e-6 && (constants.block - 3.0).abs() < 1e-6, "{constants:?}");
         // What costs nothing chooses no tree.
-        assert_eq!(Fit { visit: None, ..fit }.constants(&TRUTH), None);
-        assert_eq!(Fit { leaf_has_block: false, ..fit }.constants(&TRUTH), None);
+        assert_eq!(Fit { visit: None, ..fit }.constants(), None);
     }
 
     #[test]
     fn too_little_gives_no_fit() {
         let some = samples(1, 0.0);
-        assert_eq!(Fit::of(&[]), None);
-        assert_eq!(Fit::of(&some[..5]), None);
-        assert_eq!(Fit::of(&[some[0]; 9]), None, "all alike");
+        assert_eq!(Fit::of(&[], &TRUTH), None);
+        assert_eq!(Fit::of(&some[..5], &TRUTH), None);
+        assert_eq!(Fit::of(&[some[0]; 9], &TRUTH), None, "all alike");
         let none = |seconds| Sample { seconds, ..some[0] };
-        assert_eq!(Fit::of(&[none(0.0), none(f64::NAN), none(f64::INFINITY)]), None);
+        assert_eq!(Fit::of(&[none(0.0), none(f64::NAN), none(f64::INFINITY)], &TRUTH), None);
     }
 
     #[test]

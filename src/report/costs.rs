@@ -4,7 +4,7 @@ use super::circumstances::Circumstances;
 use crate::compare::explained::Fitted;
 use crate::compare::fit::{Estimate, Fit};
 use crate::compare::timing::Follower;
-use crate::cost::{Constants, Costs, WIDTHS};
+use crate::cost::{Constants, WIDTHS};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -35,10 +35,12 @@ struct Origin<'a> {
     default: Vec<String>,
 }
 
-/// An entry as [`Costs::parse`] reads it, in nanoseconds, and what it does not read.
+/// An entry as [`crate::cost::Costs::parse`] reads it, in nanoseconds, and what it does not read.
 #[derive(Serialize)]
 struct Entry {
     width: usize,
+    /// Of which trees these are; null of all widths together.
+    fitted_to_width: Option<usize>,
     kind: &'static str,
     query: f64,
     visit: f64,
@@ -62,24 +64,23 @@ pub fn render(
     kernels: Option<&str>,
     circumstances: &Circumstances,
 ) -> Result<CostsFile, String> {
-    let default = Costs::default();
+    let all = || WIDTHS.into_iter().flat_map(|width| [(width, false), (width, true)]);
     let entries = |follower: Follower| -> Vec<Entry> {
-        let entry = |fitted: &Fitted| {
+        let entry = |(width, is_occlusion)| {
+            let fitted = chosen(fits, follower, width, is_occlusion)?;
             let fit = fitted.fit.as_ref()?;
-            let constants = fit.constants(default.of(fitted.width, fitted.is_occlusion))?;
-            Some(Entry::of(fitted, fit, constants))
+            Some(Entry::of(width, fitted, fit, fit.constants()?))
         };
-        fits.iter().filter(|fitted| fitted.follower == follower).filter_map(entry).collect()
+        all().filter_map(entry).collect()
     };
     let found = [Follower::Embree, Follower::Ours].map(|follower| (follower, entries(follower)));
     let (follower, costs) = found.into_iter().find(|(_, entries)| !entries.is_empty()).ok_or(
-        "no costs can be fitted: for no width and kind do the trees tell visits, leaves and blocks apart; compare more trees that differ, or more queries",
+        "no costs can be fitted: for no width and kind do the trees tell visits and leaves apart; compare more trees that differ, or more queries",
     )?;
-    let is_listed = |(width, kind): &(usize, &str)| {
-        costs.iter().any(|entry| (entry.width, entry.kind) == (*width, *kind))
+    let is_listed = |(width, is_occlusion): &(usize, bool)| {
+        costs.iter().any(|entry| (entry.width, entry.kind) == (*width, kind_key(*is_occlusion)))
     };
-    let all = || WIDTHS.into_iter().flat_map(|width| [(width, kind_key(false)), (width, kind_key(true))]);
-    let named = |(width, kind): (usize, &str)| format!("{width} wide, {}", kind.replace('_', " "));
+    let named = |(width, kind): (usize, bool)| format!("{width} wide, {}", kind_key(kind).replace('_', " "));
     let kept: Vec<String> = all().filter(|it| !is_listed(it)).map(named).collect();
     let fitted: Vec<String> = all().filter(is_listed).map(named).collect();
     let of = match follower {
@@ -105,12 +106,28 @@ pub fn render(
     Ok(CostsFile { json, said })
 }
 
+/// What the constants of a width and kind are taken from. Embree's kernels follow trees of all widths in the same nodes, and trees of several widths tell visits from leaves:
+/// theirs are those of all widths that were measured. Ours have code for each width.
+fn chosen(fits: &[Fitted], follower: Follower, width: usize, is_occlusion: bool) -> Option<&Fitted> {
+    let of_kind = || fits.iter().filter(move |it| (it.follower, it.is_occlusion) == (follower, is_occlusion));
+    let of_all = || of_kind().find(|it| it.width.is_none());
+    match follower {
+        Follower::Embree => of_all().or_else(|| of_kind().next()),
+        Follower::Ours => {
+            let tells =
+                |it: &&Fitted| it.width == Some(width) && it.fit.as_ref().and_then(Fit::constants).is_some();
+            of_kind().find(tells).or_else(of_all)
+        }
+    }
+}
+
 impl Entry {
-    fn of(fitted: &Fitted, fit: &Fit, constants: Constants) -> Entry {
+    fn of(width: usize, fitted: &Fitted, fit: &Fit, constants: Constants) -> Entry {
         let Constants { query, visit, leaf, block, miss } = constants;
         let errors = estimates(fit).into_iter().filter_map(|(name, it)| Some((name, it?.error)));
         Entry {
-            width: fitted.width,
+            width,
+            fitted_to_width: fitted.width,
             kind: kind_key(fitted.is_occlusion),
             query,
             visit,
@@ -118,7 +135,7 @@ impl Entry {
             block,
             miss,
             standard_errors: errors.collect(),
-            leaf_and_block_together: fit.leaf_has_block,
+            leaf_and_block_together: fit.is_joined,
             r_squared: fit.r_squared,
             trees: fitted.trees,
             groups: fit.samples,
@@ -140,6 +157,7 @@ pub(crate) fn kind_key(is_occlusion: bool) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cost::Costs;
 
     fn fit(leaf: f64) -> Fit {
         let estimate = |value: f64| Some(Estimate { value, error: 0.5 });
@@ -149,41 +167,48 @@ mod tests {
             leaf: estimate(leaf),
             block: estimate(1.25),
             miss: None,
-            leaf_has_block: false,
+            is_joined: false,
             r_squared: 0.9,
             samples: 700,
         }
     }
 
-    fn fitted(follower: Follower, width: usize, leaf: f64) -> Fitted {
+    fn fitted(follower: Follower, width: Option<usize>, leaf: f64) -> Fitted {
         Fitted { follower, width, is_occlusion: true, trees: 7, fit: Some(fit(leaf)) }
     }
 
     #[test]
     fn what_is_written_is_what_costs_are_read_from() {
         let fits = [
-            fitted(Follower::Ours, 8, 3.0),
-            fitted(Follower::Embree, 8, 4.0),
-            fitted(Follower::Embree, 2, 0.0),
-            Fitted { fit: None, ..fitted(Follower::Embree, 4, 1.0) },
+            fitted(Follower::Ours, Some(8), 3.0),
+            fitted(Follower::Ours, Some(4), 0.0),
+            fitted(Follower::Ours, None, 5.0),
+            fitted(Follower::Embree, Some(8), 9.0),
+            fitted(Follower::Embree, None, 4.0),
         ];
         let file = render(&fits, Some("Embree 3.13.5, avx2"), &Circumstances::default()).unwrap();
         let costs = Costs::parse(&file.json).unwrap();
         let expected = Constants { query: 40.0, visit: 6.5, leaf: 4.0, block: 1.25, miss: 0.0 };
-        assert_eq!(*costs.of(8, true), expected);
-        // Leaves that cost nothing, nothing fitted, and what was not measured: as by default.
-        for (width, occlusion) in [(2, true), (4, true), (8, false)] {
-            assert_eq!(costs.of(width, occlusion), Costs::default().of(width, occlusion));
+        for width in WIDTHS {
+            assert_eq!(*costs.of(width, true), expected, "Embree's are the same in every width");
+            // What was not measured is as by default, and both the file and the line say so.
+            assert_eq!(costs.of(width, false), Costs::default().of(width, false));
+            assert!(file.said.contains(&format!("{width} wide, closest hit")) && !file.said.contains('\n'));
         }
         let json: serde_json::Value = serde_json::from_str(&file.json).unwrap();
         assert_eq!(json["fitted"]["kernels"], "Embree 3.13.5, avx2");
-        assert_eq!(json["fitted"]["default"].as_array().map(Vec::len), Some(5));
+        assert_eq!(json["fitted"]["default"].as_array().map(Vec::len), Some(3));
         assert_eq!(json["costs"][0]["standard_errors"]["leaf"], 0.5);
-        assert!(file.said.contains("2 wide, occlusion") && !file.said.contains('\n'), "{}", file.said);
 
-        // Of ours where Embree's tell nothing; nothing at all is an error in one line.
-        let ours = render(&fits[..1], None, &Circumstances::default()).unwrap();
-        assert_eq!(Costs::parse(&ours.json).unwrap().of(8, true).leaf, 3.0);
-        assert!(render(&fits[2..], None, &Circumstances::default()).is_err_and(|line| !line.contains('\n')));
+        // Of ours where Embree's tell nothing: each width's own, or what all widths tell together.
+        let ours = render(&fits[..3], None, &Circumstances::default()).unwrap();
+        let costs = Costs::parse(&ours.json).unwrap();
+        assert_eq!([8, 4, 2].map(|width| costs.of(width, true).leaf), [3.0, 5.0, 5.0]);
+        let one = render(&fits[3..4], None, &Circumstances::default()).unwrap();
+        assert_eq!(Costs::parse(&one.json).unwrap().of(2, true).leaf, 9.0);
+        // Nothing at all is an error in one line.
+        for nothing in [&fits[1..2], &[]] {
+            assert!(render(nothing, None, &Circumstances::default()).is_err_and(|line| !line.contains('\n')));
+        }
     }
 }

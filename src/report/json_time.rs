@@ -51,14 +51,15 @@ struct SecondsJson {
 #[derive(Serialize)]
 pub(super) struct FitJson {
     follower: &'static str,
-    width: usize,
+    /// Null of all widths together.
+    width: Option<usize>,
     kind: &'static str,
     trees: usize,
     groups: Option<usize>,
     #[serde(flatten)]
     costs: BTreeMap<&'static str, Option<EstimateJson>>,
-    /// Whether leaves and blocks could not be told apart: then `leaf` has both.
-    leaf_has_block: bool,
+    /// Whether leaves and blocks could not be told apart: then they have the ratio of the default.
+    leaf_and_block_together: bool,
     r_squared: Option<f64>,
 }
 
@@ -147,7 +148,7 @@ impl FitJson {
             trees: *trees,
             groups: fit.map(|fit| fit.samples),
             costs: costs.collect(),
-            leaf_has_block: fit.is_some_and(|fit| fit.leaf_has_block),
+            leaf_and_block_together: fit.is_some_and(|fit| fit.is_joined),
             r_squared: fit.map(|fit| fit.r_squared),
         }
     }

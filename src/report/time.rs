@@ -167,8 +167,8 @@ pub(crate) fn fits(comparison: &Comparison, recording: &RecordingResult) -> Vec<
 pub(crate) fn fit_rows(fits: &[Fitted]) -> Vec<Vec<String>> {
     let row = |Fitted { follower, width, is_occlusion, trees, fit }: &Fitted| {
         let kind = if *is_occlusion { "occlusion" } else { "closest" };
-        let mut cells =
-            vec![follower.name().to_owned(), width.to_string(), kind.to_owned(), trees.to_string()];
+        let width = width.map_or("all".to_owned(), |width| width.to_string());
+        let mut cells = vec![follower.name().to_owned(), width, kind.to_owned(), trees.to_string()];
         let Some(fit) = fit else {
             cells.resize(FIT_HEADER.len(), "–".to_owned());
             return cells;
