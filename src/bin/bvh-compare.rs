@@ -69,7 +69,7 @@ struct Arguments {
     traversal: Vec<Traversal>,
 
     /// Order in which depth-first occlusion queries visit the children of a node; without this, what the tree's ORDR section
-    /// says where it has one, else nearest
+    /// says where it has one, else last in a tree of more than two children a node, as Embree's kernels go, and nearest in a binary one
     #[arg(long, value_enum, value_name = "ORDER")]
     occlusion_order: Option<OrderName>,
 

@@ -23,18 +23,21 @@ impl Contender<'_> {
     /// Seconds of each run.
     fn round(&self, queries: &Queries, scratch: &mut Scratch) -> Vec<f64> {
         let (mut together, mut answers) = (Together::default(), [None; MOST]);
+        let mut ready = Vec::new();
         let timed = |(_, range): &(Cell, Range<usize>)| {
+            // As Embree's are: queries are made before the clock runs.
+            ready.clear();
+            ready.extend(queries.run(range));
             let start = clock::thread_seconds();
             match self.way.packet {
                 None => {
-                    for query in queries.run(range) {
+                    for query in &ready {
                         black_box(query.ask(self.prepared, self.traversal, self.order, &mut (), scratch));
                     }
                 }
                 Some(size) => {
-                    for start in range.clone().step_by(size) {
-                        let range = start..range.end.min(start + size);
-                        let packet = queries.run(&range);
+                    for packet in ready.chunks(size) {
+                        let packet = packet.iter().copied();
                         let (traversal, order) = (self.traversal, self.order);
                         let answers = &mut answers;
                         black_box(together.ask(packet, self.prepared, traversal, order, &mut (), answers));
