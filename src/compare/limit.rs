@@ -44,6 +44,9 @@ impl FromStr for Metric {
     }
 }
 
+/// What a number of an earlier report may be off by, relatively, because it is read from decimals.
+const READING: f64 = 1e-12;
+
 impl Comparison {
     /// What a query of the first traversal costs in each tree, by `metric`; `None` where that was not measured.
     fn measured(&self, recording: &RecordingResult, metric: Metric) -> Vec<Option<f64>> {
@@ -97,7 +100,7 @@ impl Comparison {
                     continue;
                 };
                 let ratio = relative(*value, base);
-                if ratio > limit {
+                if ratio > limit * (1.0 + READING) {
                     lines.push(format!(
                         "{}: {key} under {traversal}{over} is {ratio:.4} of {whose}'s, above {limit}",
                         tree.path
