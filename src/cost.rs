@@ -8,9 +8,8 @@
 //! of Embree's kernels on some 35 planted trees for each of six scenes (one Zen 5 core, recordings that no tree was made from):
 //! time = query + 6.1 ns · visits + 7.7 · leaf visits + 2.0 · blocks for closest hits (R² .84 within a scene), 6.1, 6.2 and 2.9 for occlusion
 //! (.92). Embree's kernels follow narrower trees in the same nodes, so that a visit costs the same there. A miss of the second level, 1 MB, costs
-//! as much as a visit: on another machine (a busy EPYC, 19 planted trees of sponza and 9 of conference) that ranks trees of one scene best. Kendall's τ
-//! with the time of trees that differ in it by more than 2% is .66 and .79 without misses, .90 and 1.00 with, and falls to .53 and .79
-//! with 20 ns a miss. `tools/fit-costs` repeats the fit on another machine. What was measured elsewhere is read from a file ([`Costs::parse`]).
+//! as much as a visit. On another machine (Zen 4) these rank 28 trees of each of four scenes with a Kendall's τ of .96 to .98, as well as what is fitted
+//! there, and SAH with -.24 to .17 (`docs/comparing.md`; `tools/fit-costs` repeats it). What was measured elsewhere is read from a file ([`Costs::parse`]).
 
 pub mod cache;
 pub mod counter;

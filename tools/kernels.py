@@ -70,7 +70,8 @@ def arguments():
     parser.add_argument(
         "--purposes",
         action="store_true",
-        help="also a tree for camera queries, one for shadow queries, and one from another camera's",
+        help="also a tree for camera queries, one for shadow queries, one from another camera's, and "
+        "one from the asked queries themselves",
     )
     parser.add_argument(
         "--tables", action="store_true", help="measures nothing: tables and figure of what is kept"
@@ -213,7 +214,8 @@ class Bench:
         return ["--camera", view, "--fov", said["fov_degrees"]]
 
     def purposes(self, scene, name):
-        """Times of trees for some of the queries, and of one from another camera."""
+        """Times of trees for some of the queries, of one from another camera, and of one from the
+        asked queries themselves."""
         built, trees = self.trees(scene, name)
         asked, _, triangles = self.record(scene, name, 2)
         train, *_ = self.record(scene, name, 1)
@@ -222,6 +224,8 @@ class Bench:
             "camera": [train, "--filter", "purpose=camera"],
             "shadow": [train, "--filter", "purpose=shadow"],
             "elsewhere": [elsewhere],
+            # What the same search makes of the very queries that are asked.
+            "limit": [asked],
         }
         paths = {"ours": trees[-1]}
         for key, (rays, *words) in makings.items():
@@ -264,6 +268,7 @@ class Bench:
         return {
             **report["trees"][0].get("time", {}).get("embree", {}),
             "own": embree["answers"],
+            "date": datetime.date.today().isoformat(),
             "seconds": time.time() - started,
         }
 

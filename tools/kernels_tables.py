@@ -100,6 +100,7 @@ def purpose_table(all_purposes):
         ("**shadow, its own**", "shadow", "shadow"),
         ("all, tree for all", "ours", None),
         ("**all, other camera's**", "elsewhere", None),
+        ("all, limit", "limit", None),
     ]
     rows = [
         [name, *(of(found, tree, purpose) for _, tree, purpose in columns)]
@@ -180,14 +181,15 @@ greatest round, the largest of a scene
 
 ANSWERS = """Answers on our tree from rays (with SSE one of four children a node) that are not those on \
 Embree's own tree, by its kernels for SSE 4.2, AVX2 and AVX-512, each default and robust. *flipped*: a \
-hit for a miss; *apart*: t beyond 1e-4; *wrong*: other than recorded, and not as good
+hit for a miss; *apart*: t beyond 1e-4; *wrong*: other than recorded, and not as good ({dates})
 """
 
 
 PURPOSES = """
 The same of trees for some of the queries (`bvh-build … --filter purpose=camera`), on these queries
 alone, and of a tree from a recording of another camera: relative to the better of Embree's trees
-on the same queries, {budget} s for each tree.
+on the same queries, {budget} s for each tree. *limit*: the tree that the same search makes of the
+very queries that are asked, so that more or better chosen training queries can bring no more.
 """
 
 
@@ -217,7 +219,8 @@ def report(all_times, all_answers, all_purposes):
         print(PURPOSES.strip().replace("\n", " ").format(budget=budgets) + "\n")
         purpose_table(all_purposes)
     if all_answers:
-        print(ANSWERS)
+        dates = [one["date"] for found in all_answers.values() for one in found.values()]
+        print(ANSWERS.format(dates=several(dates)))
         answer_table(all_answers)
 
 
