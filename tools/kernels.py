@@ -202,7 +202,7 @@ class Bench:
         info = json.loads(
             self.run("trace-info", self.path(name, "built.bvh"), "--format", "json").stdout
         )
-        lower, upper = info["bounds"]["lower"], info["bounds"]["upper"]
+        lower, upper = info["lower"], info["upper"]
         sight = [b - a for a, b in zip(eye, target)]
         turned = quarter(sight, up)
         if all(low <= at <= high for low, at, high in zip(lower, eye, upper)):
