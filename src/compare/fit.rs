@@ -84,7 +84,7 @@ impl Fit {
         rows.iter().enumerate().for_each(|(place, row)| groups.entry(row.group).or_default().push(place));
         let several = groups.values().any(|places| places.len() > 1);
         let (deviations, absorbed) = if several {
-            from_means(&rows, &groups)
+            from_means(rows, &groups)
         } else {
             (rows.iter().map(|row| (row.x, row.y)).collect(), 0)
         };
