@@ -1,12 +1,13 @@
-//! What earlier reports of `bvh-compare --fit --format json` observed, so that costs are fitted to several scenes at once.
+//! What reports of `bvh-compare --fit --format json` say was observed, written and read, so that costs are fitted to several scenes at once.
 
 use super::explained::Measured;
 use super::fit::Sample;
-use super::kernels;
-use super::timing::Follower;
+use super::timing::{Follower, Observation};
+use super::{depth_name, kernels};
 use crate::cost::{Counted, width_class};
+use crate::format::rays::kind;
 use crate::traverse::Counts;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use thiserror::Error;
 
@@ -58,24 +59,20 @@ struct Embree {
     robust: bool,
 }
 
-#[derive(Deserialize, Clone, Copy, PartialEq)]
+#[derive(Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Kind {
     ClosestHit,
     Occlusion,
 }
 
-#[derive(Deserialize, Clone, Copy)]
-#[serde(rename_all = "snake_case")]
-enum Who {
-    Ours,
-    Embree,
-}
-
-#[derive(Deserialize)]
-struct Row {
-    follower: Who,
+/// A group of queries under one tree, as a report has it.
+#[derive(Serialize, Deserialize)]
+pub struct Row {
+    follower: Follower,
+    /// Place in `trees`.
     tree: usize,
+    /// Of the recording.
     part: usize,
     kind: Kind,
     depth: String,
@@ -84,8 +81,30 @@ struct Row {
     node_visits: u64,
     leaf_visits: u64,
     block_tests: u64,
+    /// Of the simulated cache.
     misses: u64,
     seconds: f64,
+}
+
+impl Row {
+    pub fn of(observation: &Observation) -> Row {
+        let &Observation { follower, tree, part, cell: (kind, depth, purpose), counted, seconds } =
+            observation;
+        Row {
+            follower,
+            tree,
+            part,
+            kind: if kind == kind::OCCLUSION { Kind::Occlusion } else { Kind::ClosestHit },
+            depth: depth_name(depth),
+            purpose: purpose.name().to_owned(),
+            queries: counted.queries,
+            node_visits: counted.counts.node_visits,
+            leaf_visits: counted.counts.leaf_visits,
+            block_tests: counted.counts.block_tests,
+            misses: counted.misses,
+            seconds,
+        }
+    }
 }
 
 impl Observed {
@@ -121,10 +140,7 @@ impl Report {
             let &Row { queries, node_visits, leaf_visits, block_tests, misses, seconds, .. } = row;
             let counts = Counts { node_visits, leaf_visits, block_tests, ..Counts::default() };
             all.push(Measured {
-                follower: match row.follower {
-                    Who::Ours => Follower::Ours,
-                    Who::Embree => Follower::Embree,
-                },
+                follower: row.follower,
                 width: width_class(facts.max_children),
                 is_occlusion,
                 tree,

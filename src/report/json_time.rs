@@ -3,8 +3,9 @@
 use super::costs::{estimates, kind_key};
 use crate::compare::explained::{Fitted, Ranking, Ranks, fitted, measured, rankings};
 use crate::compare::fit::Estimate;
-use crate::compare::timing::{Observation, Seconds, Time};
-use crate::compare::{Comparison, RecordingResult, depth_name, kind_name};
+use crate::compare::reports::Row;
+use crate::compare::timing::{Seconds, Time};
+use crate::compare::{Comparison, RecordingResult, kind_name};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -17,7 +18,7 @@ pub(super) struct Timed {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     ranking: Vec<RankingJson>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    observations: Vec<ObservationJson>,
+    observations: Vec<Row>,
 }
 
 #[derive(Serialize)]
@@ -80,26 +81,6 @@ struct RankingJson {
     measures: BTreeMap<&'static str, Option<f64>>,
 }
 
-/// A group of queries under one tree.
-#[derive(Serialize)]
-struct ObservationJson {
-    follower: &'static str,
-    /// Place in `trees`.
-    tree: usize,
-    /// Of the recording.
-    part: usize,
-    kind: &'static str,
-    depth: String,
-    purpose: &'static str,
-    queries: u64,
-    node_visits: u64,
-    leaf_visits: u64,
-    block_tests: u64,
-    /// Of the simulated cache.
-    misses: u64,
-    seconds: f64,
-}
-
 impl Timed {
     /// `None` when nothing was timed.
     pub fn of(comparison: &Comparison, recording: &RecordingResult) -> Option<Timed> {
@@ -113,7 +94,7 @@ impl Timed {
             },
             fit: fitted(&measured(comparison, recording)).iter().map(FitJson::of).collect(),
             ranking: rankings(comparison, recording).into_iter().filter_map(RankingJson::of).collect(),
-            observations: timing.observations.iter().map(ObservationJson::of).collect(),
+            observations: timing.observations.iter().map(Row::of).collect(),
         })
     }
 }
@@ -160,26 +141,5 @@ impl RankingJson {
         let Ranks { pairs, measures } = ranks?;
         let measures = measures.into_iter().collect();
         Some(RankingJson { follower: follower.key(), trees, pairs, measures })
-    }
-}
-
-impl ObservationJson {
-    fn of(observation: &Observation) -> ObservationJson {
-        let &Observation { follower, tree, part, cell: (kind, depth, purpose), counted, seconds } =
-            observation;
-        ObservationJson {
-            follower: follower.key(),
-            tree,
-            part,
-            kind: kind_name(kind),
-            depth: depth_name(depth),
-            purpose: purpose.name(),
-            queries: counted.queries,
-            node_visits: counted.counts.node_visits,
-            leaf_visits: counted.counts.leaf_visits,
-            block_tests: counted.counts.block_tests,
-            misses: counted.misses,
-            seconds,
-        }
     }
 }

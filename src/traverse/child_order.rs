@@ -314,13 +314,13 @@ impl OcclusionOrder {
         tree: TreeView,
         recorded: Option<&[u8]>,
     ) -> Result<OcclusionOrder, OrderError> {
-        let is_wide = tree.nodes.iter().any(|node| !node.is_leaf() && node.len() > 2);
-        let default = match (recorded, is_wide) {
-            (Some(_), _) => OrderName::Recorded,
-            (None, true) => OrderName::Last,
-            (None, false) => OrderName::Nearest,
+        let is_wide = || tree.nodes.iter().any(|node| !node.is_leaf() && node.len() > 2);
+        let default = || match recorded {
+            Some(_) => OrderName::Recorded,
+            None if is_wide() => OrderName::Last,
+            None => OrderName::Nearest,
         };
-        Ok(match name.unwrap_or(default) {
+        Ok(match name.unwrap_or_else(default) {
             OrderName::Recorded => {
                 let orders = recorded.ok_or(OrderError::NotRecorded)?;
                 if orders.len() != tree.nodes.len() {

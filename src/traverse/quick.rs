@@ -11,14 +11,16 @@ mod avx2;
 mod avx512;
 mod slabs;
 
+use super::blocks::{BlockRay, Blocks};
 use super::candidates::Candidates;
 use super::child_order::OcclusionOrder;
-use super::form::Below;
+use super::form::{Below, Link};
 use super::groups::{Group, Groups};
-use super::leaf::Best;
+use super::leaf::{self, Best};
 use super::ray::PreparedRay;
-use super::simd::prefetch;
-use super::{Nodes, Prepared, Scratch, blocks::Blocks};
+use super::simd::{Avx2, prefetch};
+use super::{Nodes, Prepared, Scratch};
+use slabs::SlabRay;
 
 /// What a processor and a tree allow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,6 +82,91 @@ impl Room {
     }
 }
 
+/// A query on its way: what both levels do alike.
+struct Walk<'a, C> {
+    groups: &'a Groups<8>,
+    blocks: &'a Blocks,
+    slabs: SlabRay,
+    ray: &'a PreparedRay,
+    block_ray: BlockRay,
+    candidates: &'a C,
+    best: Best,
+    stack: &'a mut [Below],
+    entries: &'a mut [i32],
+    top: usize,
+}
+
+impl<'a, C: Candidates> Walk<'a, C> {
+    /// A query at the root; None where the tree or the ray has to be followed otherwise.
+    ///
+    /// # Safety
+    /// The processor must have AVX2 and FMA.
+    #[inline(always)]
+    unsafe fn start(
+        prepared: &'a Prepared,
+        ray: &'a PreparedRay,
+        candidates: &'a C,
+        room: &'a mut Room,
+    ) -> Option<Walk<'a, C>> {
+        let Nodes::Eights(groups) = &prepared.nodes else { return None };
+        // SAFETY: the caller says that the processor has what it takes.
+        let slabs = unsafe { SlabRay::new(ray, groups.extent()) }?;
+        let (stack, entries) = room.stacks(prepared.stack_size);
+        let (block_ray, best) = (BlockRay::new(ray), Best::end_of(ray));
+        let blocks = &prepared.blocks;
+        Some(Walk { groups, blocks, slabs, ray, block_ray, candidates, best, stack, entries, top: 0 })
+    }
+
+    /// Tests the triangles of a leaf; true when the query is answered: with `ANY`, at the first hit.
+    #[inline(always)]
+    fn leaf<const ANY: bool>(&mut self, below: Below) -> bool {
+        let leaf = Link::to(0, below, f32::NEG_INFINITY);
+        let Walk { blocks, ray, block_ray, candidates, best, .. } = self;
+        leaf::test::<ANY, Avx2>(&leaf, blocks, ray, block_ray, *candidates, &mut (), best)
+    }
+
+    /// Takes the top one of what waits.
+    #[inline(always)]
+    fn pop(&mut self) -> Option<Below> {
+        self.top = self.top.checked_sub(1)?;
+        Some(self.stack[self.top])
+    }
+
+    /// Takes the top one that is entered no later than at the best hit.
+    #[inline(always)]
+    fn pop_nearer(&mut self) -> Option<Below> {
+        // Distances that are not negative compare like the integers of the same bits; below 0 no ray ends that comes here.
+        let end = self.best.t.to_bits().cast_signed();
+        loop {
+            self.top = self.top.checked_sub(1)?;
+            if self.entries[self.top] <= end {
+                return Some(self.stack[self.top]);
+            }
+        }
+    }
+}
+
+/// Asks for what is below a child.
+#[inline(always)]
+fn fetch(groups: &Groups<8>, blocks: &Blocks, below: Below) {
+    let leaf = blocks.address(below.first as usize);
+    let inner: *const Group<8> = groups.all().as_ptr().wrapping_add(below.first as usize);
+    prefetch(if below.is_leaf() { leaf } else { inner.cast() });
+}
+
+/// Runs a way of the processor's level; None where there is none.
+macro_rules! at_level {
+    ($prepared:ident, $scratch:ident, $way:ident::<$choice:ident>($($argument:expr),*)) => {
+        match $prepared.level {
+            Level::None => None,
+            // SAFETY: the level says that the processor has these features.
+            Level::Avx2 => unsafe { avx2::$way::<$choice>($prepared, $($argument),*, &mut $scratch.quick) },
+            // SAFETY: as above.
+            Level::Avx512 => unsafe { avx512::$way::<$choice>($prepared, $($argument),*, &mut $scratch.quick) },
+        }
+    };
+}
+
 impl Prepared {
     /// The closest hit, or with `ANY` the first that is found with the nearest child first; None where the processor, the tree or the ray has to be
     /// followed otherwise.
@@ -90,13 +177,7 @@ impl Prepared {
         candidates: &impl Candidates,
         scratch: &mut Scratch,
     ) -> Option<Best> {
-        match self.level {
-            Level::None => None,
-            // SAFETY: the level says that the processor has these features.
-            Level::Avx2 => unsafe { avx2::nearest::<ANY>(self, ray, candidates, &mut scratch.quick) },
-            // SAFETY: as above.
-            Level::Avx512 => unsafe { avx512::nearest::<ANY>(self, ray, candidates, &mut scratch.quick) },
-        }
+        at_level!(self, scratch, nearest::<ANY>(ray, candidates))
     }
 
     /// Any hit, with children in `order`; None as above, and where an order compares children.
@@ -125,22 +206,8 @@ impl Prepared {
         candidates: &impl Candidates,
         scratch: &mut Scratch,
     ) -> Option<Best> {
-        match self.level {
-            Level::None => None,
-            // SAFETY: the level says that the processor has these features.
-            Level::Avx2 => unsafe { avx2::any::<ORDER>(self, ray, candidates, &mut scratch.quick) },
-            // SAFETY: as above.
-            Level::Avx512 => unsafe { avx512::any::<ORDER>(self, ray, candidates, &mut scratch.quick) },
-        }
+        at_level!(self, scratch, any::<ORDER>(ray, candidates))
     }
-}
-
-/// Asks for what is below a child.
-#[inline(always)]
-fn fetch(groups: &Groups<8>, blocks: &Blocks, below: Below) {
-    let leaf = blocks.address(below.first as usize);
-    let inner: *const Group<8> = groups.all().as_ptr().wrapping_add(below.first as usize);
-    prefetch(if below.is_leaf() { leaf } else { inner.cast() });
 }
 
 #[cfg(test)]

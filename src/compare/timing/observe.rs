@@ -13,13 +13,15 @@ use crate::replay::tally::Cell;
 use crate::traverse::{OcclusionOrder, Prepared};
 use crate::tree::TreeView;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Parts of a recording whose queries of one cell are a group: large enough that the clock's noise averages out.
 const PARTS: usize = 16;
 
 /// Who followed a tree.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Follower {
     /// Our traversal, depth first.
     Ours,

@@ -2,16 +2,13 @@
 //!
 //! No child is compared with others while it is alone, and a lone child never goes over the stack.
 
-use super::super::blocks::BlockRay;
+use super::super::Prepared;
 use super::super::candidates::Candidates;
-use super::super::form::{Below, Link};
+use super::super::form::Below;
 use super::super::groups::Group;
-use super::super::leaf::{self, Best};
+use super::super::leaf::Best;
 use super::super::ray::PreparedRay;
-use super::super::simd::Avx2;
-use super::super::{Nodes, Prepared};
-use super::slabs::SlabRay;
-use super::{Room, fetch, order};
+use super::{Room, Walk, fetch, order};
 
 /// See [`Prepared::quick_nearest`].
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
@@ -22,25 +19,17 @@ pub fn nearest<const ANY: bool>(
     candidates: &impl Candidates,
     room: &mut Room,
 ) -> Option<Best> {
-    let Nodes::Eights(groups) = &prepared.nodes else { return None };
-    let slabs = SlabRay::new(ray, groups.extent())?;
-    let (stack, entries) = room.stacks(prepared.stack_size);
-    let mut top = 0;
-    let block_ray = BlockRay::new(ray);
-    let mut best = Best::end_of(ray);
-    let mut current = groups.root();
+    // SAFETY: this is compiled for AVX2 and FMA.
+    let mut walk = unsafe { Walk::start(prepared, ray, candidates, room) }?;
+    let mut current = walk.groups.root();
     loop {
         if current.is_leaf() {
-            let leaf = Link::to(0, current, f32::NEG_INFINITY);
-            let blocks = &prepared.blocks;
-            let found =
-                leaf::test::<ANY, Avx2>(&leaf, blocks, ray, &block_ray, candidates, &mut (), &mut best);
-            if ANY && found {
-                return Some(best);
+            if walk.leaf::<ANY>(current) && ANY {
+                return Some(walk.best);
             }
         } else {
-            let group = &groups.all()[current.first as usize];
-            let met = slabs.test(group, best.t);
+            let group = &walk.groups.all()[current.first as usize];
+            let met = walk.slabs.test(group, walk.best.t);
             let mut mask = met.mask();
             if mask != 0 {
                 if mask & (mask - 1) == 0 {
@@ -48,10 +37,11 @@ pub fn nearest<const ANY: bool>(
                     continue;
                 }
                 let entered = met.entries();
+                let (groups, blocks) = (walk.groups, walk.blocks);
                 let mut next = || {
                     let lane = mask.trailing_zeros() as usize % 8;
                     mask &= mask - 1;
-                    fetch(groups, &prepared.blocks, group.below[lane]);
+                    fetch(groups, blocks, group.below[lane]);
                     (lane, entered[lane], mask != 0)
                 };
                 let (first, first_entry, _) = next();
@@ -61,7 +51,9 @@ pub fn nearest<const ANY: bool>(
                     if second_is_nearer { (second, second_entry) } else { (first, first_entry) };
                 let (farther, farther_entry) =
                     if second_is_nearer { (first, first_entry) } else { (second, second_entry) };
-                let before = top;
+                let (stack, entries) = (&mut *walk.stack, &mut *walk.entries);
+                let before = walk.top;
+                let mut top = before;
                 (stack[top], entries[top]) = (group.below[farther], farther_entry);
                 top += 1;
                 // Few have more than two: insertion keeps the farthest at the bottom.
@@ -80,22 +72,13 @@ pub fn nearest<const ANY: bool>(
                     (stack[place], entries[place]) = (group.below[other], other_entry);
                     top += 1;
                 }
+                walk.top = top;
                 current = group.below[nearest];
                 continue;
             }
         }
-        // Distances that are not negative compare like the integers of the same bits; below 0 no ray ends that comes here.
-        let end = best.t.to_bits().cast_signed();
-        loop {
-            if top == 0 {
-                return Some(best);
-            }
-            top -= 1;
-            if entries[top] <= end {
-                break;
-            }
-        }
-        current = stack[top];
+        let Some(next) = walk.pop_nearer() else { return Some(walk.best) };
+        current = next;
     }
 }
 
@@ -108,45 +91,37 @@ pub fn any<const ORDER: u8>(
     candidates: &impl Candidates,
     room: &mut Room,
 ) -> Option<Best> {
-    let Nodes::Eights(groups) = &prepared.nodes else { return None };
-    let slabs = SlabRay::new(ray, groups.extent())?;
-    let (stack, _) = room.stacks(prepared.stack_size);
-    let mut top = 0;
-    let block_ray = BlockRay::new(ray);
-    let mut best = Best::end_of(ray);
-    let mut current = groups.root();
+    // SAFETY: this is compiled for AVX2 and FMA.
+    let mut walk = unsafe { Walk::start(prepared, ray, candidates, room) }?;
+    let mut current = walk.groups.root();
     loop {
         if current.is_leaf() {
-            let leaf = Link::to(0, current, f32::NEG_INFINITY);
-            let blocks = &prepared.blocks;
-            if leaf::test::<true, Avx2>(&leaf, blocks, ray, &block_ray, candidates, &mut (), &mut best) {
-                return Some(best);
+            if walk.leaf::<true>(current) {
+                return Some(walk.best);
             }
         } else {
-            let group = &groups.all()[current.first as usize];
-            let met = slabs.test(group, ray.tfar);
+            let group = &walk.groups.all()[current.first as usize];
+            let met = walk.slabs.test(group, ray.tfar);
             let mask = met.mask();
             if mask != 0 {
                 if mask & (mask - 1) == 0 {
                     current = group.below[mask.trailing_zeros() as usize % 8];
                     continue;
                 }
-                match ORDER {
-                    order::LAST => top = push_last(group, mask, stack, top),
+                let (stack, top) = (&mut *walk.stack, walk.top);
+                walk.top = match ORDER {
+                    order::LAST => push_last(group, mask, stack, top),
                     order::OUTSIDE => {
-                        let outside = mask & slabs.entered_later(&met);
-                        top = group.push(mask & !outside, stack, top);
-                        top = group.push(outside, stack, top);
+                        let outside = mask & walk.slabs.entered_later(&met);
+                        let top = group.push(mask & !outside, stack, top);
+                        group.push(outside, stack, top)
                     }
-                    _ => top = group.push(mask, stack, top),
-                }
+                    _ => group.push(mask, stack, top),
+                };
             }
         }
-        if top == 0 {
-            return Some(best);
-        }
-        top -= 1;
-        current = stack[top];
+        let Some(next) = walk.pop() else { return Some(walk.best) };
+        current = next;
     }
 }
 

@@ -4,16 +4,13 @@
 //! meanwhile (Batcher 1968, *Sorting Networks and Their Applications*, the bitonic sorter). What is sorted are the distances as integers, whose last three bits give way to
 //! the number of the child. Whether there are two children or eight, no branch depends on it.
 
-use super::super::blocks::BlockRay;
+use super::super::Prepared;
 use super::super::candidates::Candidates;
-use super::super::form::{Below, Link};
+use super::super::form::Below;
 use super::super::groups::Group;
-use super::super::leaf::{self, Best};
+use super::super::leaf::Best;
 use super::super::ray::PreparedRay;
-use super::super::simd::Avx2;
-use super::super::{Nodes, Prepared};
-use super::slabs::SlabRay;
-use super::{Room, fetch, order};
+use super::{Room, Walk, fetch, order};
 use std::arch::x86_64::*;
 
 /// See [`Prepared::quick_nearest`].
@@ -25,26 +22,18 @@ pub fn nearest<const ANY: bool>(
     candidates: &impl Candidates,
     room: &mut Room,
 ) -> Option<Best> {
-    let Nodes::Eights(groups) = &prepared.nodes else { return None };
-    let slabs = SlabRay::new(ray, groups.extent())?;
-    let (stack, entries) = room.stacks(prepared.stack_size);
-    let mut top = 0;
-    let block_ray = BlockRay::new(ray);
-    let mut best = Best::end_of(ray);
-    let mut current = groups.root();
+    // SAFETY: this is compiled for AVX2 and FMA.
+    let mut walk = unsafe { Walk::start(prepared, ray, candidates, room) }?;
+    let mut current = walk.groups.root();
     let lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     loop {
         if current.is_leaf() {
-            let leaf = Link::to(0, current, f32::NEG_INFINITY);
-            let blocks = &prepared.blocks;
-            let found =
-                leaf::test::<ANY, Avx2>(&leaf, blocks, ray, &block_ray, candidates, &mut (), &mut best);
-            if ANY && found {
-                return Some(best);
+            if walk.leaf::<ANY>(current) && ANY {
+                return Some(walk.best);
             }
         } else {
-            let group = &groups.all()[current.first as usize];
-            let met = slabs.test(group, best.t);
+            let group = &walk.groups.all()[current.first as usize];
+            let met = walk.slabs.test(group, walk.best.t);
             let mask = _mm256_cmple_epi32_mask(met.entry, met.exit);
             if mask != 0 {
                 if mask & (mask - 1) == 0 {
@@ -57,28 +46,22 @@ pub fn nearest<const ANY: bool>(
                 current = group.below[least(keys) as usize % 8];
                 let sorted = sort(keys);
                 let second = _mm_extract_epi32::<1>(_mm256_castsi256_si128(sorted));
-                fetch(groups, &prepared.blocks, group.below[second as usize % 8]);
+                fetch(walk.groups, walk.blocks, group.below[second as usize % 8]);
                 // The farthest goes to the bottom; the nearest, on top, is what comes now.
                 let count = mask.count_ones() as usize;
                 let backwards = _mm256_sub_epi32(_mm256_set1_epi32(count as i32 - 1), lanes);
                 let keys = _mm256_permutevar8x32_epi32(sorted, backwards);
-                store(all_below(group, _mm256_and_si256(keys, _mm256_set1_epi32(7))), &mut stack[top..]);
-                store_keys(keys, &mut entries[top..]);
-                top += count - 1;
+                store(
+                    all_below(group, _mm256_and_si256(keys, _mm256_set1_epi32(7))),
+                    &mut walk.stack[walk.top..],
+                );
+                store_keys(keys, &mut walk.entries[walk.top..]);
+                walk.top += count - 1;
                 continue;
             }
         }
-        let end = best.t.to_bits().cast_signed();
-        loop {
-            if top == 0 {
-                return Some(best);
-            }
-            top -= 1;
-            if entries[top] <= end {
-                break;
-            }
-        }
-        current = stack[top];
+        let Some(next) = walk.pop_nearer() else { return Some(walk.best) };
+        current = next;
     }
 }
 
@@ -91,28 +74,22 @@ pub fn any<const ORDER: u8>(
     candidates: &impl Candidates,
     room: &mut Room,
 ) -> Option<Best> {
-    let Nodes::Eights(groups) = &prepared.nodes else { return None };
-    let slabs = SlabRay::new(ray, groups.extent())?;
-    let (stack, _) = room.stacks(prepared.stack_size);
-    let mut top = 0;
-    let block_ray = BlockRay::new(ray);
-    let mut best = Best::end_of(ray);
-    let mut current = groups.root();
+    // SAFETY: this is compiled for AVX2 and FMA.
+    let mut walk = unsafe { Walk::start(prepared, ray, candidates, room) }?;
+    let mut current = walk.groups.root();
     let lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
     loop {
         if current.is_leaf() {
-            let leaf = Link::to(0, current, f32::NEG_INFINITY);
-            let blocks = &prepared.blocks;
-            if leaf::test::<true, Avx2>(&leaf, blocks, ray, &block_ray, candidates, &mut (), &mut best) {
-                return Some(best);
+            if walk.leaf::<true>(current) {
+                return Some(walk.best);
             }
         } else {
-            let group = &groups.all()[current.first as usize];
-            let met = slabs.test(group, ray.tfar);
+            let group = &walk.groups.all()[current.first as usize];
+            let met = walk.slabs.test(group, ray.tfar);
             let mask = _mm256_cmple_epi32_mask(met.entry, met.exit);
             if mask != 0 {
                 let outside =
-                    if ORDER == order::OUTSIDE { slabs.entered_later(&met) as u8 & mask } else { 0 };
+                    if ORDER == order::OUTSIDE { walk.slabs.entered_later(&met) as u8 & mask } else { 0 };
                 let inside = mask & !outside;
                 let compressed = |mask: u8| _mm256_maskz_compress_epi32(mask, lanes);
                 let reversed = |mask: u8| {
@@ -120,11 +97,11 @@ pub fn any<const ORDER: u8>(
                     _mm256_permutevar8x32_epi32(compressed(mask), _mm256_sub_epi32(last, lanes))
                 };
                 let order = if ORDER == order::LAST { compressed(inside) } else { reversed(inside) };
-                store(all_below(group, order), &mut stack[top..]);
-                top += inside.count_ones() as usize;
+                store(all_below(group, order), &mut walk.stack[walk.top..]);
+                walk.top += inside.count_ones() as usize;
                 if ORDER == order::OUTSIDE {
-                    store(all_below(group, reversed(outside)), &mut stack[top..]);
-                    top += outside.count_ones() as usize;
+                    store(all_below(group, reversed(outside)), &mut walk.stack[walk.top..]);
+                    walk.top += outside.count_ones() as usize;
                 }
                 // What is on top now, without waiting for it to be written.
                 let lane = match ORDER {
@@ -132,17 +109,14 @@ pub fn any<const ORDER: u8>(
                     order::OUTSIDE if outside != 0 => outside.trailing_zeros(),
                     _ => mask.trailing_zeros(),
                 };
-                top -= 1;
+                walk.top -= 1;
                 current = group.below[lane as usize % 8];
                 continue;
             }
         }
-        if top == 0 {
-            return Some(best);
-        }
-        top -= 1;
-        current = stack[top];
-        fetch(groups, &prepared.blocks, stack[top.saturating_sub(1)]);
+        let Some(next) = walk.pop() else { return Some(walk.best) };
+        fetch(walk.groups, walk.blocks, walk.stack[walk.top.saturating_sub(1)]);
+        current = next;
     }
 }
 
